@@ -24,6 +24,7 @@ from fpplab.phase.decoded import Decoded
 from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.edges import add_errors_at_edges
 from fpplab.phase.error_model import ErrorModel, error_model_of
+from fpplab.phase.isolated import isolated_pixels
 from fpplab.phase.kernels import decode_pixels
 from fpplab.phase.limits import ORDERS
 from fpplab.phase.order_vote import vote_orders
@@ -105,6 +106,10 @@ def decode(
         for sequence in sequences:
             doubt = maps.doubt_u if sequence.axis == "x" else maps.doubt_v
             _repair_orders_by_vote(decoded, recording, sequence, errors, doubt, bounds)
+    for sequence in sequences:
+        coordinate = decoded.coordinate(sequence.axis)
+        period = axis_length(size, sequence.axis) / plan.fringes[sequence.finest].stripes
+        _drop(decoded, np.flatnonzero(isolated_pixels(coordinate, period)))
     return decoded
 
 
@@ -186,10 +191,13 @@ def _repair_orders_by_vote(
     alternative = np.where(other.is_unambiguous, position * length - 0.5, np.nan)
     period = length / plan.fringes[sequence.finest].stripes
     backed = vote_orders(coordinate, pixels, alternative, vote.window, period)
-    dropped = pixels[~backed & (doubt[pixels] > plan.masks.disagreement_max)]
+    _drop(decoded, pixels[~backed & (doubt[pixels] > plan.masks.disagreement_max)])
+
+
+def _drop(decoded: Decoded, pixels: NDArray[np.int64]) -> None:
     for values in decoded.maps:
         if values is not None and values.flags.writeable:
-            values.reshape(-1)[dropped] = np.nan
+            values.reshape(-1)[pixels] = np.nan
 
 
 def _phases_at(

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.image_faults import SIGMA_JUDGED, Damage, drawn_scene, jpeg, stated_and_actual
+from benchmarks.image_faults import OTHERS, SIGMA_JUDGED, Damage, drawn_scene, jpeg, stated_and_actual
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.phase.error_model import error_model_of
+from fpplab.phase.isolated import isolated_pixels
 
 SCENE = drawn_scene(21)
 PROJECTOR = (912, 1140)
@@ -55,3 +56,24 @@ def test_a_pixel_that_contradicts_its_sinusoid_tells_its_own_variance() -> None:
     changed[rows] = True
     stated, actual = stated_and_actual(replace(SCENE, judged=SCENE.judged & changed), decoded)
     assert stated == pytest.approx(actual, rel=0.4)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_wrong_orders_of_hot_pixels_are_left_out(seed: int) -> None:
+    scene = drawn_scene(seed)
+    frames = OTHERS["hot_pixels"](scene.frames, np.random.default_rng(seed))
+    decoded = decode(Recording(frames, scene.plan, PROJECTOR))
+    error = np.abs(decoded.u - scene.seen[..., 0])[scene.judged & decoded.valid]
+    assert error.max() < 0.5 * PROJECTOR[0] / max(fringe.stripes for fringe in scene.plan.fringes)
+    assert (scene.judged & ~decoded.valid).mean() < 0.01
+
+
+def test_a_pixel_is_isolated_that_at_most_one_neighbour_agrees_with() -> None:
+    coordinate = np.tile(np.arange(9, dtype=np.float32), (9, 1))
+    coordinate[2, 2] += 12.0
+    coordinate[6, 5:7] += 12.0  # two that touch
+    coordinate[:, 8] += 30.0  # the edge of a part
+    assert np.argwhere(isolated_pixels(coordinate, 12.0)).tolist() == [[2, 2], [6, 5], [6, 6]]
+    coordinate[1:4, 1:4] = np.nan
+    coordinate[2, 2] = 0.0
+    assert not isolated_pixels(coordinate, 12.0)[2, 2], "few neighbours are measured"

@@ -24,7 +24,7 @@ class LensSmearLimits(LimitsSection):
 
     section: ClassVar[str] = "lens_smear"
 
-    max_blur_px: Positive = 2.0
+    max_blur_px: Positive = 1.0
     """Blur in camera px, in squares beyond that of other pixels at such a depth. Chosen: a drop that blurs by
     a pixel bends rays by as much."""
     min_sigmas: Positive = 6.0
@@ -32,7 +32,7 @@ class LensSmearLimits(LimitsSection):
     max_loss_by_other: Positive = 4.0
     """Contrast that wider fringes lose there, as a multiple of what blur that takes the finest's would take.
     Measured: drops reach 2; light by way of other surfaces takes 10 times as much."""
-    min_share: ShareLimit = 0.005
+    min_share: ShareLimit = 0.01
     """Share of the measured pixels that lie in such a part. Chosen."""
     min_pixels: CountLimit = 500
     """Measured pixels of the sample that blur is compared between. Chosen."""
@@ -40,7 +40,7 @@ class LensSmearLimits(LimitsSection):
 
 def blur_beyond_depth(evidence: Evidence) -> Floats | None:
     """Square of the blur in px² at the sample's pixels, less what depth and place in the image explain."""
-    if evidence.recording is None or len(_sets_of_axis(evidence)) < 3:
+    if evidence.recording is None or _wider_set(evidence) is None:
         return None  # what blur takes is not told from what light by way of other surfaces takes
     sample, limits = evidence.frames, evidence.limits.of(LensSmearLimits)
     plan, step, cloud = sample.recording.plan, sample.step, evidence.cloud
@@ -73,11 +73,11 @@ def blur_beyond_depth(evidence: Evidence) -> Floats | None:
     return np.asarray(median_filter(result, 5))
 
 
-def _sets_of_axis(evidence: Evidence) -> list[int]:
-    """Sets of the first axis, the finest first."""
+def _wider_set(evidence: Evidence) -> int | None:
+    """The finest set of the first axis that blur takes little from, but not the widest."""
     fringes, axis = evidence.plan.fringes, evidence.plan.axes[0]
-    own = [k for k, fringe in enumerate(fringes) if fringe.axis == axis]
-    return sorted(own, key=lambda k: -fringes[k].stripes)
+    own = sorted((fringe.stripes, k) for k, fringe in enumerate(fringes) if fringe.axis == axis)
+    return next((k for stripes, k in own[:0:-1] if stripes <= 0.25 * own[-1][0]), None)
 
 
 def _find(evidence: Evidence, before: Sequence[Finding]) -> Iterator[Finding]:
@@ -111,14 +111,18 @@ def _find(evidence: Evidence, before: Sequence[Finding]) -> Iterator[Finding]:
 
 def _is_loss_by_blur(evidence: Evidence, inside: Mask) -> bool:
     """Whether wider fringes lose little contrast there, as blur of few px has it, and stray light not."""
-    sample, (finest, wider, *_) = evidence.frames, _sets_of_axis(evidence)
-    widest, others = sample.widest.modulation, sample.measured & ~inside
+    sample, plan, wider = evidence.frames, evidence.plan, _wider_set(evidence)
+    assert wider is not None
+    finest, widest, others = (
+        plan.finest_set(plan.axes[0]),
+        sample.widest.modulation,
+        sample.measured & ~inside,
+    )
     of_finest, of_wider = (
         np.log(np.median(share[others]) / max(float(np.median(share[inside])), 1e-3))
         for share in (sample.fits[k].modulation / np.maximum(widest, 1e-3) for k in (finest, wider))
     )
-    stripes = [evidence.plan.fringes[k].stripes for k in (finest, wider)]
-    by_blur = (stripes[1] / stripes[0]) ** 2 * of_finest
+    by_blur = (plan.fringes[wider].stripes / plan.fringes[finest].stripes) ** 2 * of_finest
     return bool(of_wider <= evidence.limits.of(LensSmearLimits).max_loss_by_other * by_blur)
 
 
