@@ -83,6 +83,10 @@ class Evidence:
         period = axis_length(self.recording.projector_size, axis) / fringe.stripes
         return 1e3 * period / TWO_PI / float(self.points.px_per_mm_of_depth["xy".index(axis)])
 
+    def contained_cost(self, rad: float) -> str:
+        """Tell how far a phase error that σ contains puts points off; empty where there are none."""
+        return f"; {rad * self.um_per_rad:.0f} µm, which σ contains" if self.has_points else ""
+
     @property
     def plan(self) -> Plan:
         """The plan that the points are judged by."""

@@ -41,7 +41,7 @@ class Tiles:
     """Whole tiles of a recording's frames, spread over the image."""
 
     levels: Floats  # (K, T, side, side) grey levels of every frame
-    usable: Mask  # (T, side, side) pixels that no frame shows saturated
+    usable: Mask  # (T, side, side) pixels that no frame shows saturated or, unless few remain, black
 
     @classmethod
     def of(cls, recording: Recording, saturation: int) -> Tiles | None:
@@ -59,7 +59,10 @@ class Tiles:
         raw = np.array(
             [[f[v : v + side, u : u + side] for v in tops for u in lefts] for f in recording.frames]
         )
-        return cls(raw * np.float32(recording.grey), np.asarray((raw < saturation).all(axis=0)))
+        bright = np.asarray((raw < saturation).all(axis=0))
+        unclipped = bright & (raw > 0).all(axis=0)
+        usable = unclipped if unclipped.sum() >= NEIGHBOURS.min_pixels else bright
+        return cls(raw * np.float32(recording.grey), usable)
 
 
 def with_errors_of_neighbours(

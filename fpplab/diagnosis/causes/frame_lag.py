@@ -30,8 +30,7 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     min_rad = evidence.limits.of(FrameLagLimits).min_phase_error_rad
     text = f"{share:.1f} % of the frame before in each frame"
     if (finding := phase_error_finding(sample, FRAME_LAG, rad, min_rad, text)) is not None:
-        cost = f"; {rad * evidence.um_per_rad:.0f} µm, which σ contains" if evidence.has_points else ""
-        yield replace(finding, evidence=finding.evidence + cost)
+        yield replace(finding, evidence=finding.evidence + evidence.contained_cost(rad))
 
 
 FRAME_LAG = FaultCause(

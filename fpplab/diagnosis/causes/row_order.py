@@ -1,4 +1,4 @@
-"""Rows or columns of the images are interchanged."""
+"""Rows or columns of the images are interchanged, or moved around the end."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ class RowOrderLimits(LimitsSection):
     interchanged rows it is 9 without noise, and 2 where what they are off is a third of the noise; of others
     it is 1."""
     min_pixels: CountLimit = 20
-    """Measured pixels of a row, over all tiles. Chosen."""
+    """Measured pixels of a row, over all tiles, or of both ends of the image. Chosen."""
+    max_steps_around: Positive = 5.0
+    """Change of the coordinate from the last column to the first, in those from one to the next, of images
+    whose columns are moved around. Chosen."""
 
 
 def _changes_between_rows(sample: FrameSample, fringe_axis: Axis, axis: int, distance: int) -> Floats | None:
@@ -87,6 +90,28 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
         yield Finding(ROW_ORDER, text, ratio / limit)
 
 
+def _find_moved_around(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    """Columns of images with fringes along x, or rows of those along y, that go on at the other end."""
+    limits = evidence.limits.of(RowOrderLimits)
+    for fringe_axis, coordinate in evidence.frames.coordinates.items():
+        axis, name = (1, "columns") if fringe_axis == "x" else (0, "rows")
+        lines = np.moveaxis(coordinate, axis, 0)
+        whole = np.flatnonzero(np.isfinite(lines[0]) & np.isfinite(lines[-1]))
+        if len(whole) < limits.min_pixels:
+            continue
+        lines = lines[:, whole[:: max(1, len(whole) // limits.min_pixels)]]
+        around = float(np.median(np.abs(lines[0] - lines[-1])))
+        step = float(np.nanmedian(np.abs(np.diff(lines, axis=0))))
+        between = float(np.median(np.nanmax(lines, axis=0) - np.nanmin(lines, axis=0)))
+        # Of a camera that stands upright the coordinate grows from one end to the other.
+        if around <= limits.max_steps_around * step and between > 0.5 * len(lines) * step:
+            text = (
+                f"{name} are moved around: from the last to the first the coordinate changes by "
+                f"{around:.1f} px, as between neighbours, though it covers {between:.0f} px"
+            )
+            yield Finding(ROW_ORDER, text, len(lines) / limits.max_steps_around, ruins_points=True)
+
+
 def _draw(evidence: Evidence, _: Finding) -> Figure:
     from fpplab.core.drawing import HALF, single_axes
 
@@ -103,13 +128,17 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 ROW_ORDER = FaultCause(
     key="row_order",
-    meaning="Rows or columns of the images are interchanged.",
+    meaning="Rows or columns of the images are interchanged, or moved around the end.",
     remedy="see to how the camera's driver, or the program that wrote the images, puts fields and taps of "
     "the sensor together, and record again",
-    measured="change of the phase from odd to even rows beside that from even to odd ones",
-    limit=f"{RowOrderLimits().max_ratio:g} times, in squares",
+    measured="change of the phase from odd to even rows beside that from even to odd ones; change of the "
+    "coordinate from the last column to the first, beside that between neighbours",
+    limit=f"{RowOrderLimits().max_ratio:g} times, in squares; {RowOrderLimits().max_steps_around:g} times",
     seen_in="frames",
-    detectors=(Detector(DetectionStage.FRAMES, _find),),
+    detectors=(
+        Detector(DetectionStage.FRAMES, _find),
+        Detector(DetectionStage.POINTS, _find_moved_around),
+    ),
     picture=Picture(Needs.FRAMES, _draw),
     side_effects=frozenset({"wrong_plan", "stale_calibration", "vibration"}),
 )
