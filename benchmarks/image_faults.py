@@ -52,11 +52,11 @@ class KnownScene:
     frames: Frames
 
 
-def drawn_scene(seed: int) -> KnownScene:
+def drawn_scene(seed: int, step_counts: Sequence[int] = (4, 5, 6, 8, 12)) -> KnownScene:
     """Draw a bench, a part and a plan."""
     random = np.random.default_rng([43, seed])
     calibration = _drawn_rig(random)
-    steps = [int(random.choice([4, 5, 6, 8, 12])) for _ in range(2)]
+    steps = [int(random.choice(step_counts)) for _ in range(2)]
     finest = float(random.choice([48, 64, 80]))
     axes: tuple[Axis, ...] = ("x", "y") if random.random() < 0.5 else ("x",)
     plan = Plan(
@@ -262,12 +262,6 @@ def _camera_gamma(frames: Frames, random: np.random.Generator) -> Frames:
     return [_levels(255.0 * (frame / 255.0) ** exponent) for frame in frames]
 
 
-def _digital_zoom(frames: Frames, _: np.random.Generator) -> Frames:
-    w, h = SIZE
-    cut = [f[h // 40 : h - h // 40, w // 40 : w - w // 40] for f in frames]
-    return [_levels(cv2.resize(frame, SIZE, interpolation=cv2.INTER_LINEAR)) for frame in cut]
-
-
 def _drawn_jpeg(frames: Frames, random: np.random.Generator) -> Frames:
     return jpeg(int(random.integers(60, 96)))(frames, random)
 
@@ -316,9 +310,10 @@ OTHERS: dict[str, Damage] = {
     "duplicated_frame": _duplicated_frame,
     "exchanged_halves": _exchanged_halves,
     "camera_gamma": _camera_gamma,
-    "digital_zoom": _digital_zoom,
 }
 """Which must not be called good beyond the interval."""
+OF_THREE_STEPS = "_of_three_steps"
+"""What faults are called whose frames show no residuals."""
 
 
 @dataclass(frozen=True)
@@ -335,6 +330,11 @@ class JudgedFrames:
     reason: str
 
     @property
+    def is_sigma_judged(self) -> bool:
+        """Whether its σ must be that of the errors."""
+        return self.fault.removesuffix(OF_THREE_STEPS) in SIGMA_JUDGED
+
+    @property
     def is_believed_wrong(self) -> bool:
         """Whether it is called good, and its errors exceed the interval."""
         return self.verdict == "good" and COVERAGE * self.ratio < 1.0
@@ -342,8 +342,8 @@ class JudgedFrames:
 
 def judged_frames(fault: str, seed: int) -> JudgedFrames:
     """Damage the frames of a bench, and judge what is said of them."""
-    scene = drawn_scene(seed)
-    damage = {**SIGMA_JUDGED, **OTHERS}[fault]
+    scene = drawn_scene(seed, (3,)) if fault.endswith(OF_THREE_STEPS) else drawn_scene(seed)
+    damage = {**SIGMA_JUDGED, **OTHERS}[fault.removesuffix(OF_THREE_STEPS)]
     return judged_as_said(scene, fault, seed, damage(scene.frames, np.random.default_rng([44, seed])))
 
 
@@ -370,9 +370,8 @@ def stated_and_actual(scene: KnownScene, decoded: Decoded) -> tuple[float, float
 
 def run() -> list[Result]:
     """Judge all faults on fresh benches; some minutes."""
-    return frame_figures(
-        [judged_frames(f, JUDGING_SEED + k) for f in (*SIGMA_JUDGED, *OTHERS) for k in range(COUNT)]
-    )
+    faults = (*SIGMA_JUDGED, *(fault + OF_THREE_STEPS for fault in SIGMA_JUDGED), *OTHERS)
+    return frame_figures([judged_frames(f, JUDGING_SEED + k) for f in faults for k in range(COUNT)])
 
 
 def frame_figures(judged: Sequence[JudgedFrames]) -> list[Result]:
@@ -382,7 +381,7 @@ def frame_figures(judged: Sequence[JudgedFrames]) -> list[Result]:
         own = [one for one in judged if one.fault == fault]
         believed = sum(one.is_believed_wrong for one in own)
         results.append(below(f"image_faults_{fault}_believed_wrong", float(believed), "", 0.0))
-        if fault in SIGMA_JUDGED:
+        if own[0].is_sigma_judged:
             ratios = [one.ratio for one in own]
             results.append(above(f"image_faults_{fault}_least_stated_over_actual", min(ratios), "", 0.8))
             results.append(below(f"image_faults_{fault}_greatest_stated_over_actual", max(ratios), "", 1.25))

@@ -83,9 +83,10 @@ def with_errors_of_neighbours(
         if fringe.stripes < NEIGHBOURS.min_share_of_finest * finest:
             result.append(errors)
             continue
-        levels = tiles.levels[slice(*plan.set_starts[k : k + 2])]
+        beside = k - 1 if k else min(1, len(sets) - 1)
+        levels, others = (tiles.levels[slice(*plan.set_starts[j : j + 2])] for j in (k, beside))
         phases = _PhasesInTiles(levels, tiles.usable, fringe, plan.masks.modulation_min, noise)
-        result.append(phases.added_to(errors, gradients, fits.get(k)))
+        result.append(phases.added_to(errors, gradients, fits.get(k), others))
     return result
 
 
@@ -100,13 +101,13 @@ class _PhasesInTiles:
         self.wave = self.fitted[1] + 1j * self.fitted[2]
         self.modulation = np.maximum(np.abs(self.wave), 1e-3)
         self.phasor = self.wave / self.modulation
-        bright = usable & (self.modulation >= max(modulation_min, NEIGHBOURS.min_modulation))
+        self._bright: Mask = usable & (self.modulation >= max(modulation_min, NEIGHBOURS.min_modulation))
         self.used: Mask = _inner(
-            np.all([np.roll(bright, by, axis) for axis in _ALONG for by in range(-2, 3)], axis=0)
+            np.all([np.roll(self._bright, by, axis) for axis in _ALONG for by in range(-2, 3)], axis=0)
         )
 
     def added_to(
-        self, errors: CommonErrors, gradients: Sequence[Floats], fit: HarmonicsFit | None
+        self, errors: CommonErrors, gradients: Sequence[Floats], fit: HarmonicsFit | None, others: Floats
     ) -> CommonErrors:
         if self.used.sum() < NEIGHBOURS.min_pixels:
             return errors
@@ -123,16 +124,34 @@ class _PhasesInTiles:
         strengths, rest, kept = _fitted(terms.reshape(3, -1), bends.ravel())
         ripple_rad = float(np.hypot(*strengths[1:])) / np.sqrt(2.0)
         beyond = max(0.0, ripple_rad**2 - float(np.nan_to_num(errors.harmonic_rad)) ** 2)
-        scatter = 1.0 if fit is None else self._scatter(fit, rest.reshape(2, -1), kept.reshape(2, -1))
+        residuals = self._change_of_offset(others) if fit is None else self._residuals(fit)
+        scatter = self._scatter(residuals, rest.reshape(2, -1), kept.reshape(2, -1))
         ripple_rad = float(np.sqrt(beyond))
         return replace(errors, ripple_rad=ripple_rad, scatter=scatter, blur_px2=float(strengths[0]))
 
-    def _scatter(self, fit: HarmonicsFit, rest: Floats, kept: Mask) -> float:
-        """Variance of the phases beside that of noise; 1 where neighbours are independent."""
-        # rest (2, P); kept (2, P)
+    def _residuals(self, fit: HarmonicsFit) -> Floats:
+        """What sinusoids, gains and harmonics leave, each as noisy as a level."""
         count, shape = len(self.levels), self.levels.shape[1:]
         group = set_group(0, self.levels.reshape(count, -1), self.fitted.reshape(3, -1), self.fringe)
-        residuals = group.combine_without_common_errors(group.quiet, fit).reshape(-1, *shape)
+        return group.combine_without_common_errors(group.quiet, fit).reshape(-1, *shape)
+
+    def _change_of_offset(self, others: Floats) -> Floats:
+        """The offset beside that of another set, as noisy as a level; 0 where there is no other."""
+        # Three images leave nothing else. Gains change it too, and the response by its third harmonic.
+        change = self.fitted[0] - others.mean(axis=0)
+        third = self.modulation * self.phasor**3
+        terms = np.stack([*self.fitted, third.real, third.imag])
+        known = terms.reshape(len(terms), -1)[:, self._bright.ravel()]
+        strengths = np.linalg.pinv(np.einsum("ap,bp->ab", known, known), hermitian=True) @ np.einsum(
+            "ap,p->a", known, change[self._bright]
+        )
+        change -= np.einsum("a,a...->...", strengths, terms)
+        return np.asarray(change / np.sqrt(1.0 / len(self.levels) + 1.0 / len(others)))[None]
+
+    def _scatter(self, residuals: Floats, rest: Floats, kept: Mask) -> float:
+        """Variance of the phases beside that of noise; 1 where neighbours are independent."""
+        # residuals (R, T, side, side); rest (2, P); kept (2, P)
+        count = len(self.levels)
         if not _are_correlated(residuals, self.used):
             return 1.0
         variance = _inner(self.noise.variance(self.fitted[0]))[self.used]

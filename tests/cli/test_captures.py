@@ -167,7 +167,7 @@ def test_the_skull_is_reconstructed(
         "reconstruct", skull, "--calibration", calibration[0], "--out", skull / "cloud.ply", "--json"
     )
     assert done.code == 0, done.err
-    assert done.json["verdict"] == "good", done.json["reason"]
+    assert done.json["verdict"] == "unverified", done.json["reason"]
     assert done.json["points"] >= 385_000
     distance = local_quadric_distance(load_cloud(skull / "cloud.ply"))
     assert np.nanmedian(np.abs(distance)) <= 0.12

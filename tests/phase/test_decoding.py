@@ -259,7 +259,7 @@ def test_a_vote_repairs_the_orders_that_stray_light_has_moved():
     voting = plan.model_copy(update={"order_vote": OrderVote(window=7)})
     y, x = np.mgrid[0:60, 0:300]
     u = 100 + 2.2 * x + 0.3 * y
-    bias = 2 * np.pi * 0.28 / 16 * np.sin(y / 10)
+    bias = 2 * np.pi * 0.38 / 16 * np.sin(y / 10)
     frames = record(seen_from(u, plan, amplitude=0.15, bias=bias), noise=2.0, seed=2)
     plain, voted = decode(Recording(frames, plan, SIZE)), decode(Recording(frames, voting, SIZE))
     period = SIZE[0] / 16

@@ -32,10 +32,19 @@ def test_sigma_is_that_of_the_errors(fault: str) -> None:
     assert 0.8 < stated / actual < 1.25
 
 
+def test_sigma_holds_for_compressed_frames_of_three_steps() -> None:
+    scene = drawn_scene(22, (3,))
+    frames = jpeg(60)(scene.frames, np.random.default_rng(22))
+    stated, actual = stated_and_actual(scene, decode(Recording(frames, scene.plan, PROJECTOR)))
+    assert 0.8 < stated / actual < 1.25
+
+
 def test_frames_as_the_sensor_gives_them_show_nothing() -> None:
-    errors = error_model_of(damaged(FAULTS["healthy"]))
-    assert errors.lag == 0.0
-    assert all(one.scatter == 1.0 and one.ripple_rad == 0.0 for one in errors.sets)
+    three_steps = drawn_scene(22, (3,))
+    for recording in (damaged(FAULTS["healthy"]), Recording(three_steps.frames, three_steps.plan, PROJECTOR)):
+        errors = error_model_of(recording)
+        assert errors.lag == 0.0
+        assert all(one.scatter == 1.0 and one.ripple_rad == 0.0 for one in errors.sets)
 
 
 def test_the_share_of_the_frame_before_is_found() -> None:
@@ -74,6 +83,7 @@ def test_a_pixel_is_isolated_that_at_most_one_neighbour_agrees_with() -> None:
     coordinate[6, 5:7] += 12.0  # two that touch
     coordinate[:, 8] += 30.0  # the edge of a part
     assert np.argwhere(isolated_pixels(coordinate, 12.0)).tolist() == [[2, 2], [6, 5], [6, 6]]
-    coordinate[1:4, 1:4] = np.nan
-    coordinate[2, 2] = 0.0
+    coordinate[1:3, 1] = coordinate[1:3, 3] = np.nan
     assert not isolated_pixels(coordinate, 12.0)[2, 2], "few neighbours are measured"
+    apart = 20.0 * np.arange(81, dtype=np.float32).reshape(9, 9)
+    assert not isolated_pixels(apart, 12.0).any(), "no neighbours are of one surface"

@@ -81,8 +81,8 @@ def _wider_set(evidence: Evidence) -> int | None:
 
 
 def _find(evidence: Evidence, before: Sequence[Finding]) -> Iterator[Finding]:
-    if any(finding.cause.key in ("camera_focus", "projector_focus") for finding in before):
-        return  # blur changes fast with depth then
+    if any(finding.cause.key in ("camera_focus", "projector_focus", "interreflection") for finding in before):
+        return  # they take contrast from fine fringes too, and from place to place
     beyond, limits = blur_beyond_depth(evidence), evidence.limits.of(LensSmearLimits)
     if beyond is None:
         return
@@ -147,5 +147,5 @@ LENS_SMEAR = FaultCause(
     seen_in="points",
     detectors=(Detector(DetectionStage.POINTS, _find),),
     picture=Picture(Needs.POINTS, _draw),
-    side_effects=frozenset({"interreflection", "stale_calibration", "wrong_resolution"}),
+    side_effects=frozenset({"stale_calibration", "wrong_resolution"}),
 )

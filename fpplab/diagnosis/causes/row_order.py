@@ -93,6 +93,8 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 def _find_moved_around(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     """Columns of images with fringes along x, or rows of those along y, that go on at the other end."""
     limits = evidence.limits.of(RowOrderLimits)
+    if evidence.recording is None:
+        return
     for fringe_axis, coordinate in evidence.frames.coordinates.items():
         axis, name = (1, "columns") if fringe_axis == "x" else (0, "rows")
         lines = np.moveaxis(coordinate, axis, 0)
