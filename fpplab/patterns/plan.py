@@ -51,7 +51,8 @@ class MaskRules(Document):
     """
     wrong_order_max: Annotated[float, Field(gt=0, le=1)] = 1e-4
     """Greatest probability of a wrong fringe order, computed from the noise of all fringe sets; 1 masks none.
-    It does not count what is no noise, such as stray light or a nonlinear response.
+    It does not count what is no noise; orders that stray light has changed are left out where neighbours
+    show them.
     """
 
 

@@ -45,8 +45,8 @@ class Decoded:
         it is not known.
     uncertain_order : ndarray of uint8, (height, width), or None
         1 + the index of the fringe set whose noise left the fringe order more uncertain than the plan allows
-        (`MaskRules.wrong_order_max`) at a pixel that is not measured for that reason alone, 0 elsewhere; None
-        where it is not known.
+        (`MaskRules.wrong_order_max`), or whose bias has changed it, at a pixel that is not measured for that
+        reason alone, 0 elsewhere; None where it is not known.
     removed : ndarray of uint8, (height, width), or None
         By which rule of the filter (`fpplab.reconstruction.filtering.Rule`) the pixel gives no point, 0 by
         none; None without a filter. The other maps keep what was decoded there.

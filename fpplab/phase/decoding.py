@@ -6,27 +6,29 @@ Conventions: `fpplab.core.conventions`.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core import buffers
-from fpplab.core.conventions import AXES, Axis, Map, axis_length, full_scale
+from fpplab.core.conventions import AXES, Axis, Floats, Map, axis_length, full_scale
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
+from fpplab.phase.biased_orders import mark_biased_orders
 from fpplab.phase.bounds import PossibleCoordinates, check_bounds, interval_of, widest_interval_share
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.edges import add_errors_at_edges
 from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.isolated import isolated_pixels
-from fpplab.phase.kernels import decode_pixels
-from fpplab.phase.limits import ORDERS
+from fpplab.phase.kernels import decode_pixels, erase_doubtful
+from fpplab.phase.limits import BIASED_ORDERS, ORDERS
 from fpplab.phase.order_vote import vote_orders
 from fpplab.phase.outside import outside_share
 from fpplab.phase.precision import coordinate_spread
@@ -92,6 +94,7 @@ def decode(
             f"{source}: holds values up to {highest:g}, above the full scale {full_scale(bits)} of "
             f"{bits} bits; say how many bits the camera gives"
         )
+    _drop_doubtful_orders(maps, recording, sequences, errors, bounds)
     axis = plan.axes[0]
     blur_px2 = errors.sets[plan.finest_set(axis)].blur_px2
     if blur_px2 != 0.0:
@@ -166,6 +169,52 @@ def _run_kernel(
 def _processors() -> int:
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+def _drop_doubtful_orders(
+    maps: Maps,
+    recording: Recording,
+    sequences: Sequence[WavelengthSequence],
+    errors: ErrorModel,
+    bounds: Mapping[Axis, PossibleCoordinates] | None,
+) -> None:
+    """Erase pixels whose order a bias may have changed, and all that the kernel keeps of doubtful ones."""
+    plan, shape = recording.plan, recording.frames[0].shape
+    may_be_biased = plan.order_vote is None and plan.masks.wrong_order_max < 1.0
+    sigma, cause = maps.sigma.reshape(shape), maps.cause.reshape(shape)
+    # The noise of phases is the same along both axes, and `sigma` that of the first one.
+    finest = plan.fringes[plan.finest_set(plan.axes[0])].stripes
+    max_sigma = BIASED_ORDERS.max_noise_turns * axis_length(recording.projector_size, plan.axes[0]) / finest
+    for sequence in sequences:
+        if may_be_biased and len(sequence.wavelengths) > 1:
+            length = axis_length(recording.projector_size, sequence.axis)
+            mark_biased_orders(
+                (maps.u if sequence.axis == "x" else maps.v).reshape(shape),
+                sigma,
+                cause,
+                max_sigma=max_sigma,
+                mark=1 + sequence.sets[0],
+                period=length / sequence.wavelengths[-1].stripes,
+                widest=length / sequence.wavelengths[0].stripes,
+                contradiction=partial(_contradiction, recording, sequence, errors, bounds),
+            )
+    if cause.any():
+        erase_doubtful(maps)
+
+
+def _contradiction(
+    recording: Recording,
+    sequence: WavelengthSequence,
+    errors: ErrorModel,
+    bounds: Mapping[Axis, PossibleCoordinates] | None,
+    pixels: NDArray[np.int64],
+) -> Floats:
+    """How far the sets of a few pixels contradict each other, with its sign and in turns."""
+    measured = _phases_at(recording, sequence, errors, pixels)
+    length = axis_length(recording.projector_size, sequence.axis)
+    interval = interval_of(bounds, sequence.axis, length, pixels)
+    unwrapped = unwrap(measured.phases, sequence, measured.position_sigma[-1], interval=interval)
+    return np.asarray(np.sign(unwrapped.second_best_order) * unwrapped.disagreement)
 
 
 def _repair_orders_by_vote(

@@ -22,7 +22,7 @@ from fpplab.phase.fusion import FUSION_ROWS, find_repeated, fuse_axis, weigh
 from fpplab.phase.limits import ORDERS
 from fpplab.phase.saturation import fit_unsaturated
 from fpplab.phase.tables import Maps, Recipe
-from fpplab.phase.wrong_order import TO_EXPLAIN, settle_orders
+from fpplab.phase.wrong_order import TO_EXPLAIN, UNEXPLAINED, settle_orders
 
 GROUP = 4
 """Frames summed per visit of a chunk (chosen); every set's list of frames is padded to a multiple."""
@@ -362,6 +362,14 @@ def _erase_invalid(values: Any, good: Any, pixel_count: int) -> None:
 
 
 @compiled
+def _add_doubtful(known: Any, good: Any, cause: Any, pixel_count: int) -> None:
+    """Where coordinates are known: where they are measured, and where the order alone is in doubt."""
+    for j in range(pixel_count):
+        i = _u(j)
+        known[i] = good[i] if cause[i] == 0 else _ONE
+
+
+@compiled
 def _add_frames(accumulators: Any, at: int, pixel_count: int, s: int, like: Any, recipe: Any) -> None:
     """Add all frames of a set to the sums of a chunk: eight at a time, and four that are left."""
     k, last = recipe.first[s], recipe.first[s + 1]
@@ -403,7 +411,7 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
     sets = len(recipe.origin)
     accumulators, rows = np.zeros((_SUM_ROWS + 1) * ROW, np.float32), np.empty(_UNWRAP_ROWS * ROW, np.float32)
     fusion = np.empty(FUSION_ROWS * ROW, np.float32)
-    good, sigma = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
+    good, known, sigma = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
     # Each set's offsets become its weights, once they are known.
     turns, modulation, weights = (
         np.empty((sets, ROW), np.float32),
@@ -458,16 +466,30 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
         maps.modulation[at : at + pixel_count] = modulation[recipe.reference, :pixel_count]
         maps.sigma[at : at + pixel_count] = sigma[:pixel_count]
         maps.phase_error[at : at + pixel_count] = common[:pixel_count]
+        _add_doubtful(known, good, maps.cause[at : at + pixel_count], pixel_count)
         if len(maps.u) > 0:
-            _erase_invalid(maps.u[at : at + pixel_count], good, pixel_count)
+            _erase_invalid(maps.u[at : at + pixel_count], known, pixel_count)
         if len(maps.v) > 0:
-            _erase_invalid(maps.v[at : at + pixel_count], good, pixel_count)
+            _erase_invalid(maps.v[at : at + pixel_count], known, pixel_count)
+        _erase_invalid(maps.sigma[at : at + pixel_count], known, pixel_count)
         _reduced_root_of_chi2(disagreement, freedom, pixel_count)
         _erase_invalid(disagreement, good, pixel_count)
         _erase_invalid(maps.modulation[at : at + pixel_count], good, pixel_count)
-        _erase_invalid(maps.sigma[at : at + pixel_count], good, pixel_count)
         _erase_invalid(maps.phase_error[at : at + pixel_count], good, pixel_count)
     return accumulators[_SUM_ROWS * ROW :].max()
+
+
+@compiled
+def erase_doubtful(maps: Maps) -> None:
+    """Erase pixels whose order is in doubt; of those `decode_pixels` keeps the coordinates."""
+    cause = maps.cause
+    for j in range(len(cause)):
+        if cause[_u(j)] > 0:
+            for values in maps[:6]:
+                if len(values) > 0:
+                    values[_u(j)] = np.nan
+            if cause[_u(j)] == UNEXPLAINED:
+                cause[_u(j)] = 0
 
 
 @compiled

@@ -56,6 +56,8 @@ def _share_in_first(
         strengths = inverse @ np.einsum("ap,p->a", terms, rest)
         left = rest - strengths @ terms
         kept = np.abs(left) <= LAG.outlier_ratio * np.median(np.abs(left))
+        if kept.all():
+            break
         terms, rest, left = terms[:, kept], rest[kept], left[kept]
     return float(strengths[0]), float(inverse[0, 0] * np.square(left).mean())
 

@@ -173,6 +173,38 @@ class BentPhaseLimits(NamedTuple):
     """The same that noise makes at least. Chosen: keeps noise-free frames solvable."""
 
 
+class BiasedOrderLimits(NamedTuple):
+    """Limits of the search for orders that a bias between the sets has changed."""
+
+    searched_px: int = 32
+    """Distance of the rows and columns that are looked at first for any jumps, in px. Chosen."""
+    near_period: float = 0.1
+    """How near to whole periods a jump is one of orders, in periods. Chosen: a fifth of the jumps at edges
+    is by chance."""
+    min_whole_share: float = 0.8
+    """Share of the steps between two parts that must be so, by the same number of periods. Chosen."""
+    max_jumping_share: float = 0.25
+    """Jumps for each pixel from which on neighbours see no surface. Chosen."""
+    small_part_px: int = 30
+    """Pixels of a part up to which that is enough. Chosen."""
+    min_change_turns: float = 0.03
+    """Change of the sets' contradiction at the border of a greater part, in turns. Chosen: one bias in
+    thirty is nearer to whole periods."""
+    max_gap_turns: float = 0.03
+    """Greatest gap of the fine phase, in turns, where the bias may be continuous. Chosen: surfaces bend."""
+    max_gap_at_edge_turns: float = 0.01
+    """The same where it must have an edge. Chosen: one jump in depth in fifty is as near to whole periods."""
+    beyond_sigmas: float = 3.0
+    """Standard deviations of its noise by which a gap may be greater. Chosen."""
+    stretches: int = 4
+    """Parts of a border in each of which the fine phase must go on. Chosen."""
+    min_majority: float = 2.0 / 3.0
+    """Share of the joined pixels that must have one order for it to be taken as right. Chosen."""
+    max_noise_turns: float = 0.03
+    """Greatest noise of the coordinate in periods at a pixel in doubt that is looked at. Chosen: a third of
+    `near_period`."""
+
+
 class NeighbourLimits(NamedTuple):
     """Limits of what neighbouring pixels show."""
 
@@ -225,5 +257,6 @@ OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
 COMMON_ERRORS = CommonErrorLimits()
 BENT_PHASES = BentPhaseLimits()
+BIASED_ORDERS = BiasedOrderLimits()
 LAG = LagLimits()
 NEIGHBOURS = NeighbourLimits()

@@ -188,9 +188,11 @@ def _differences(values: Floats, axis: int) -> Floats:
 def _fitted(terms: Floats, values: Floats) -> tuple[Floats, Floats, Mask]:
     """Strengths of terms by least squares, 0 where noise may have made them, what they leave, and inliers."""
     # terms (3, V); values (V,)
-    rest, kept = values, np.full(values.shape, True)
+    rest, kept = values, np.full(values.shape, False)
     for _ in range(NEIGHBOURS.fit_passes):
-        kept = np.abs(rest) < NEIGHBOURS.outlier_sigmas * robust_spread(rest, 1e-6)
+        before, kept = kept, np.abs(rest) < NEIGHBOURS.outlier_sigmas * robust_spread(rest, 1e-6)
+        if (kept == before).all():
+            break
         chosen = terms[:, kept]
         # Not by BLAS, see `fpplab.phase.common_errors`.
         inverse = np.linalg.pinv(np.einsum("ap,bp->ab", chosen, chosen), hermitian=True)

@@ -27,7 +27,7 @@ def coordinate_spread(
 
 
 def uncertain_orders(decoded: Decoded, plan: Plan) -> dict[str, int] | None:
-    """Count the pixels that are not measured because noise leaves their fringe order too uncertain."""
+    """Count the pixels that their fringe order, too uncertain, leaves out, by the set at fault."""
     if decoded.uncertain_order is None:
         return None
     counts = np.bincount(decoded.uncertain_order.ravel(), minlength=len(plan.fringes) + 1)[1:]

@@ -75,4 +75,4 @@ class Maps(NamedTuple):
     disagreement: NDArray[np.float32]  # disagreement of the fringe sets: the root of χ² per degree of freedom
     doubt_u: NDArray[np.float32]  # greatest disagreement of the chosen hypothesis along each axis, in periods
     doubt_v: NDArray[np.float32]  # greatest disagreement of the chosen hypothesis along each axis, in periods
-    cause: NDArray[np.uint8]  # 1 + the index of the set whose noise left the order too uncertain, 0 elsewhere
+    cause: NDArray[np.uint8]  # as `Decoded.uncertain_order`; UNEXPLAINED where noise explains no order

@@ -22,6 +22,9 @@ TO_EXPLAIN = 0.5
 """Mark of a pixel whose step by step order is refused, between those of good pixels, 1, and bad ones, 0:
 measured only if the likeliest order suits."""
 
+UNEXPLAINED = 255
+"""Cause of a pixel that is not measured because noise explains none of its orders."""
+
 _f, _u = np.float32, np.uintp
 _HALF, _ONE = _f(0.5), _f(1)
 
@@ -89,6 +92,7 @@ def settle_orders(
             outside = max(limits[0] - unwrapping[_u(i)], unwrapping[_u(i)] - limits[1])
             is_possible = outside <= ORDERS.edge_sigmas / math.sqrt(fusion[_u(i) + FINEST])
             good[i] = 1.0 if is_explained and is_possible else 0.0
+            cause[i] = 0 if good[i] > 0.0 else UNEXPLAINED
         if good[i] > 0.0 and odds / (1.0 + odds) > recipe.wrong_order_max:
             good[i] = 0.0
             cause[i] = 1 + recipe.causes[which]

@@ -225,14 +225,12 @@ def lengths_tables(comparison: Comparison) -> tuple[ReportTable, ...]:
 
 
 def _uncertain_text(causes: dict[str, int], pixels: int) -> str:
-    """How many pixels noise has cost, and in which fringe set."""
+    """How many pixels uncertain orders have cost, and by which fringe set."""
     if not causes:
         return " No pixel was left out for an uncertain fringe order."
     listed = ", ".join(f"{name} {count_text(count)}" for name, count in causes.items())
     share = percent_text(sum(causes.values()) / pixels)
-    return (
-        f" {share} were left out because noise leaves their fringe order uncertain, by fringe set: {listed}."
-    )
+    return f" {share} were left out for an uncertain fringe order, by the set at fault: {listed}."
 
 
 def _coordinates(name: str, decoded: Decoded) -> list[ReportFigure]:

@@ -19,8 +19,12 @@ def bent(
     gamma: float,
     seed: int,
     unwrapping: str = "hierarchical",
+    bias_rad: np.ndarray | float = 0.0,
 ) -> tuple[Recording, np.ndarray]:
-    """A projector's picture, its power law, a surface, noise and rounding; and the true coordinate."""
+    """A projector's picture, its power law, a surface, noise and rounding; and the true coordinate.
+
+    The bias is that of the first set's phase.
+    """
     random = np.random.default_rng(seed)
     y, x = np.mgrid[: SIZE[0], : SIZE[1]] / SIZE[1]
     truth = 60 + 780 * x + 40 * np.sin(5 * x + 7 * y + seed)
@@ -29,6 +33,7 @@ def bent(
     for stripes, steps in sets:
         for n in range(steps):
             angle = 2 * np.pi * (stripes * (truth + 0.5) / WIDTH - n / steps)
+            angle += bias_rad * ((stripes, steps) == sets[0])
             light = (12 + 203 * (0.5 + 0.5 * np.cos(angle)) ** gamma) * shade
             frames.append(np.rint(light + random.normal(0.0, 1.2, SIZE)).clip(0, 255).astype(np.uint8))
     fringes = tuple(Sinusoid(axis="x", stripes=s, steps=n) for s, n in sets)
