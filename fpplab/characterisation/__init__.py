@@ -1,5 +1,6 @@
 """Characterisation: calibrate a camera, a projector and the pose between them from poses of a board."""
 
+from fpplab.characterisation.correction import Correction, correct
 from fpplab.characterisation.fitting import characterise
 from fpplab.characterisation.judging import Judgement, judge, judged_board
 from fpplab.characterisation.observation import Observation, finest_periods, observe
@@ -8,12 +9,14 @@ from fpplab.characterisation.result import Characterisation, ModelTrial, Rejecte
 
 __all__ = [
     "Characterisation",
+    "Correction",
     "DistortionModel",
     "Judgement",
     "ModelTrial",
     "Observation",
     "Rejected",
     "characterise",
+    "correct",
     "finest_periods",
     "judge",
     "judged_board",

@@ -126,7 +126,7 @@ def judge(
     source: str = "the calibration",
 ) -> Judgement:
     """Judge a calibration by poses that it was not fitted to."""
-    judged = _Judged.of(calibration, source)
+    judged = CalibrationAsFitted.of(calibration, source)
     if not observations:
         raise CalibrationError(
             f"{source}: there is no pose to judge by ({'; '.join((left_out or {}).values())})"
@@ -157,7 +157,7 @@ def judged_board(calibration: Calibration, source: str) -> FittedBoard:
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
+class CalibrationAsFitted:
     """A calibration as the joint adjustment has it, and a factor (n, n) of its covariance."""
 
     devices: Solution
@@ -166,7 +166,8 @@ class _Judged:
     factor: Floats
 
     @classmethod
-    def of(cls, calibration: Calibration, source: str) -> _Judged:
+    def of(cls, calibration: Calibration, source: str) -> CalibrationAsFitted:
+        """Take a calibration that a characterisation made."""
         fitted, uncertainty = judged_board(calibration, source), calibration.uncertainty
         assert uncertainty is not None
         free = sum(name.startswith("camera.") for name in uncertainty.names)
@@ -189,6 +190,19 @@ class _Judged:
         covariance = uncertainty.covariance[np.ix_(order, order)] - np.outer(longer, longer)
         values, vectors = np.linalg.eigh(covariance)
         return cls(devices, fitted.errors, levels[0], vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    def parameters(self) -> Floats:
+        """List the parameters of both devices, (n,)."""
+        free, devices = len(self.level.terms), self.devices
+        return np.concatenate([devices.camera[:free], devices.projector[:free], devices.T_projector_camera])
+
+    def with_parameters(self, parameters: Floats) -> CalibrationAsFitted:
+        """Replace the parameters of both devices."""
+        free = len(self.level.terms)
+        camera, projector, pair = np.split(parameters, [free, 2 * free])
+        lenses = [np.append(lens, np.zeros(len(INTRINSICS) - free)) for lens in (camera, projector)]
+        devices = replace(self.devices, camera=lenses[0], projector=lenses[1], T_projector_camera=pair)
+        return replace(self, devices=devices)
 
     def problem(self, observation: Observation, pose: Floats) -> tuple[Problem, Solution]:
         """One pose by itself."""
@@ -219,7 +233,7 @@ class _Prediction:
     common: Floats  # (2, 2 K, n), of errors of the devices
 
 
-def _prediction(judged: _Judged, observation: Observation) -> _Prediction:
+def _prediction(judged: CalibrationAsFitted, observation: Observation) -> _Prediction:
     """Fit the pose and predict its residuals: what the pose takes up of all errors is gone from them."""
     problem, at = judged.problem(observation, judged.pose(observation))
     _, slopes, _ = problem.slopes(0, at)

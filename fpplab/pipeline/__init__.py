@@ -6,6 +6,7 @@
 from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED, REPORT
 from fpplab.pipeline.characterising import (
     characterise_sessions,
+    correct_by_sessions,
     judge_sessions,
     observe_session,
     require_plan_fits,
@@ -31,6 +32,7 @@ __all__ = [
     "characterise_sessions",
     "check_disk_space",
     "check_plan",
+    "correct_by_sessions",
     "decode_session",
     "doubts_about_session",
     "finish_scan",

@@ -10,10 +10,12 @@ from typing import Literal
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import (
     Characterisation,
+    Correction,
     DistortionModel,
     Judgement,
     Observation,
     characterise,
+    correct,
     finest_periods,
     judge,
     judged_board,
@@ -102,13 +104,30 @@ def judge_sessions(
     progress: Progress = no_progress,
 ) -> Judgement:
     """Judge a calibration by poses of its board that it was not fitted to, one session each."""
+    observations, left_out = _observe_board_of(calibration, sessions, source, progress)
+    return judge(calibration, observations, left_out, str(source))
+
+
+def correct_by_sessions(
+    sessions: Sequence[Session],
+    calibration: Calibration,
+    source: Path | str,
+    progress: Progress = no_progress,
+) -> Correction:
+    """Correct a calibration by poses of its board, one session each."""
+    observations, left_out = _observe_board_of(calibration, sessions, source, progress)
+    return correct(calibration, observations, left_out, str(source))
+
+
+def _observe_board_of(
+    calibration: Calibration, sessions: Sequence[Session], source: Path | str, progress: Progress
+) -> tuple[list[Observation], dict[str, str]]:
     board = judged_board(calibration, str(source))
     width, height, _ = sessions[0].format
     calibration.check_camera((width, height), sessions[0].path)
     calibration.check_projector(*sessions[0].projector(), sessions[0].path)
     target = config.validate(board.target, Target, f"{source}: board.target")
-    observations, left_out = _observe_sessions(sessions, target, progress)
-    return judge(calibration, observations, left_out, str(source))
+    return _observe_sessions(sessions, target, progress)
 
 
 def _observe_sessions(

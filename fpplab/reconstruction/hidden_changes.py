@@ -2,28 +2,24 @@
 
 A change moves the points, by the derivatives of `calibration_jacobian`, and, where both axes are coded,
 moves them off their epipolar lines. What moves them along these lines is not seen in a scene of unknown
-shape. The size of a change is a normal variable, with the standard deviation below; the evidence is that the
-points lie on their epipolar lines to within a given distance. The standard deviation given this evidence
-tells how much of the change may have happened unseen.
+shape. The size of a change is a normal variable, with the standard deviation of `changed_rigs`; the evidence
+is that the points lie on their epipolar lines to within a given distance. The standard deviation given this
+evidence tells how much of the change may have happened unseen.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from fpplab.calibration.changes import changed_rigs, parameter_vector
 from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats
-from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 from fpplab.reconstruction.triangulation import CoordinateNoise
 from fpplab.reconstruction.uncertainty import calibration_jacobian, projection_derivatives
-
-TURN_DEG, SHIFT_MM, ZOOM, PICTURE_PX = 0.1, 1.0, 0.004, 3.0
-"""Sizes of changes that happen without being noticed: turns, shifts, relative focal lengths, and places of
-the picture on the sensor or the mirrors. Chosen."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +40,9 @@ def hidden_changes(
     step = max(1, len(cloud) // LIMITS.hidden_change_points)
     points = cloud.points[::step].astype(np.float64)
     changed = changed_rigs(calibration)
-    changes = np.stack([_parameters(rig) - _parameters(calibration) for rig in changed.values()], axis=1)
+    changes = np.stack(
+        [parameter_vector(rig) - parameter_vector(calibration) for rig in changed.values()], axis=1
+    )
     jacobian = calibration_jacobian(points, calibration, noise)
     displaced = jacobian @ changes  # (N, 3, kinds) mm
     unseen = np.ones(len(changed))  # standard deviations given the evidence, beside those without
@@ -67,49 +65,3 @@ def _distances_from_epipolar_lines(points: Floats, calibration: Calibration, jac
     along = np.einsum("nij,nj->ni", by_point, points)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
     return np.asarray(np.einsum("ni,nij->nj", across, off))
-
-
-def _parameters(calibration: Calibration) -> Floats:
-    """List the parameters in the order of `PARAMETERS`."""
-    pose = calibration.T_projector_camera
-    numbers = [
-        [device.matrix[0, 0], device.matrix[1, 1], *device.matrix[:2, 2], *device.distortion]
-        for device in (calibration.camera, calibration.projector)
-    ]
-    return np.concatenate([*numbers, pose.rotation_vector, pose.translation])
-
-
-def _with_lens(calibration: Calibration, device: str, factor: float, shift_px: Floats) -> Calibration:
-    def changed(lens: Pinhole) -> Pinhole:
-        matrix = lens.matrix.copy()
-        matrix[[0, 1], [0, 1]] *= factor
-        matrix[:2, 2] += shift_px
-        return replace(lens, matrix=matrix)
-
-    if device == "camera":
-        return replace(calibration, camera=changed(calibration.camera))
-    return replace(calibration, projector=changed(calibration.projector))
-
-
-def changed_rigs(calibration: Calibration) -> dict[str, Calibration]:
-    """List the calibrations after each kind of change, by what people would call the change."""
-    pose, unit = calibration.T_projector_camera, np.eye(3)
-    changed: dict[str, Calibration] = {}
-    for axis, direction in zip("xyz", unit, strict=True):
-        turn = RigidTransform.from_vectors(np.radians(TURN_DEG) * direction, np.zeros(3))
-        shift = RigidTransform.from_vectors(np.zeros(3), SHIFT_MM * direction)
-        about = f"turned by {TURN_DEG:g}° about its {axis} axis"
-        moved = f"the projector moved by {SHIFT_MM:g} mm along the camera's {axis} axis"
-        poses = {
-            f"the projector {about}": turn @ pose,
-            f"the camera {about}": pose @ turn,
-            moved: pose @ shift,
-        }
-        changed |= {name: replace(calibration, T_projector_camera=new) for name, new in poses.items()}
-    for device in ("camera", "projector"):
-        zoomed = f"the lens of the {device} zoomed by {100 * ZOOM:g} %"
-        changed[zoomed] = _with_lens(calibration, device, 1.0 + ZOOM, np.zeros(2))
-        for direction, word in zip(unit[:2, :2], ("sideways", "up or down"), strict=True):
-            name = f"the picture of the {device} {PICTURE_PX:g} px further {word}"
-            changed[name] = _with_lens(calibration, device, 1.0, PICTURE_PX * direction)
-    return changed

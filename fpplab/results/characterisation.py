@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fpplab.characterisation import Characterisation, Judgement
+from fpplab.characterisation import Characterisation, Correction, Judgement
 from fpplab.diagnosis import Diagnosis
 from fpplab.results.provenance import Provenance
 from fpplab.setup.guide import GuidedRun
@@ -60,4 +60,24 @@ class JudgementResult:
             **self.figures(),
             "provenance": self.provenance.summary(),
             "report": None if self.report_file is None else str(self.report_file),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectionResult:
+    """A calibration as a few poses of its board have it now."""
+
+    correction: Correction
+    provenance: Provenance
+    calibration_file: Path
+    report_file: Path
+
+    def summary(self) -> dict[str, Any]:
+        """Collect what `fpplab characterise --correct --json` prints."""
+        return {
+            **self.correction.summary(),
+            "left_out": self.correction.after.left_out,
+            "provenance": self.provenance.summary(),
+            "calibration": str(self.calibration_file),
+            "report": str(self.report_file),
         }

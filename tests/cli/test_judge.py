@@ -6,9 +6,11 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fpplab.calibration.model import Calibration
+from fpplab.core.geometry import RigidTransform
 from tests.support.commands import Command, Demo
 
 OLD = Path(__file__).parents[1] / "data" / "version_0_1_0" / "calibration.yaml"
@@ -93,3 +95,32 @@ def test_a_calibration_of_an_earlier_version_is_refused_with_the_reason(fpplab: 
     done = fpplab("characterise", "--judge", OLD, later, "--json")
     assert done.code == 5
     assert "calibration.yaml: 'board' is missing" in done.json["error"]
+
+
+def test_a_projector_that_was_turned_since_is_corrected_by_two_poses(
+    fpplab: Command, demo: Demo, later: Path, tmp_path: Path
+) -> None:
+    known = Calibration.load(demo.folder / "calibration.yaml")
+    turn = RigidTransform.from_vectors(np.radians([0.0, 0.1, 0.0]), np.zeros(3))
+    old, new = tmp_path / "old.yaml", tmp_path / "new.yaml"
+    replace(known, T_projector_camera=turn @ known.T_projector_camera).save(old)
+    done = fpplab("characterise", "--correct", old, later, "--out", new, "--json")
+    assert done.code == 0, done.err
+    assert done.json["needed"]
+    assert done.json["before"]["contradicted"]
+    assert not done.json["after"]["contradicted"]
+    assert "The calibration holds" in new.with_suffix(".html").read_text()
+    assert fpplab("characterise", "--judge", old, demo.folder / "board").code == 5
+    assert fpplab("characterise", "--judge", new, demo.folder / "board").code == 0
+    for words, said in (
+        (["--correct", old, later], "--correct needs --out"),
+        (["--correct", old, "--out", new], "--correct needs sessions"),
+        (["--correct", old, later, "--out", new], "exists already"),
+        (["--correct", old, "--judge", old, later], "exclude each other"),
+        (
+            ["--correct", old, later, "--out", tmp_path / "x.yaml", "--target", "target_paper"],
+            "does not go with",
+        ),
+    ):
+        refused = fpplab("characterise", *words, "--json")
+        assert (refused.code, said in refused.json["error"]) == (2, True), refused.json

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from fpplab.calibration.changes import changed_rigs
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.reconstruction.hidden_changes import HiddenChange, changed_rigs, hidden_changes
+from fpplab.reconstruction.hidden_changes import HiddenChange, hidden_changes
 from fpplab.reconstruction.points import triangulate
 from tests.reconstruction.test_triangulation import CALIBRATION, Maps, maps_of, plane
 

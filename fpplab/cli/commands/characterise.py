@@ -28,7 +28,7 @@ from fpplab.core.lattice import Lattice
 from fpplab.core.units import length_mm
 
 if TYPE_CHECKING:
-    from fpplab.characterisation import Judgement
+    from fpplab.characterisation import Correction, Judgement
     from fpplab.characterisation.point_lists import PointListSource
     from fpplab.core.depth import DepthInterval
     from fpplab.workflows.judge import JudgementRequest
@@ -97,6 +97,13 @@ def characterise_command(
             "--judge", help="Calibration to judge by the sessions, poses that it was not fitted to."
         ),
     ] = None,
+    corrected: Annotated[
+        Path | None,
+        typer.Option(
+            "--correct",
+            help="Calibration to correct by the sessions, one to three poses of its board.",
+        ),
+    ] = None,
     confirm: Annotated[
         bool,
         typer.Option("--confirm", help="With --judge: record in the calibration that the poses confirm it."),
@@ -146,17 +153,29 @@ def characterise_command(
     those that the calibration predicts. The exit code is 5 where they contradict it. Otherwise `--confirm`
     records when, from which the rig file's `geometry: {max_age_h: ...}` counts.
 
+    With `--correct` the calibration is brought up to date by one to three new poses, after a device was
+    moved, refocused or its picture shifted: `probabilities` says what has changed, `untold` what more poses
+    would tell. Where no such change explains the poses, the exit code is 5: characterise again.
+
     Examples: `fpplab characterise poses/ --target target_paper --out calibration.yaml`;
     `fpplab characterise --rig rig_demo --target target_paper --out calibration.yaml`;
     `fpplab characterise --rig my_rig --target target_paper --guide --until 20um --out calibration.yaml`;
     `fpplab characterise --points corners.csv --target target_paper --camera-size 1920 1200
     --projector-size 912 1140 --lattice diamond --out calibration.yaml`;
-    `fpplab characterise --judge calibration.yaml later_poses/`
+    `fpplab characterise --judge calibration.yaml later_poses/`;
+    `fpplab characterise --correct calibration.yaml new_pose/ --out corrected.yaml`
     """
+    unused: dict[str, object]
+    if corrected:
+        if judged:
+            raise ConfigError("--correct and --judge exclude each other; judge first")
+        unused = {"--rig": rig, "--target": target, "--points": points}
+        _correct(corrected, sessions or [], out, force, json, unused)
+        return
     if judged:
         from fpplab.workflows.judge import JudgementRequest
 
-        unused: dict[str, object] = {"--rig": rig, "--target": target, "--points": points}
+        unused = {"--rig": rig, "--target": target, "--points": points}
         page = out.with_suffix(".html") if out else None
         _judge(JudgementRequest(judged, tuple(sessions or ()), page, force, confirm), json, unused)
         return
@@ -237,15 +256,40 @@ def point_list_source(
     return PointListSource(points, camera_size, projector_size, lattice or Lattice.SQUARE)
 
 
+def _correct(
+    path: Path, sessions: list[Path], out: Path | None, force: bool, json: bool, unused: dict[str, object]
+) -> None:
+    """Correct a calibration by sessions of a few poses of its board."""
+    from fpplab.workflows.correct import CorrectionRequest, run_correction
+
+    _refuse_unused("--correct", unused)
+    if not sessions:
+        raise ConfigError("--correct needs sessions, one per pose, or the folder that holds them")
+    if out is None:
+        raise ConfigError("--correct needs --out, where the corrected calibration goes")
+    result = run_correction(CorrectionRequest(path, tuple(sessions), out, force), ConsoleObserver())
+    console.print_result(result.summary(), json, lambda: _show_correction(result.correction))
+
+
+def _refuse_unused(option: str, unused: dict[str, object]) -> None:
+    for name, value in unused.items():
+        if value is not None:
+            raise ConfigError(f"{name} does not go with {option}, which takes recorded sessions of its board")
+
+
+def _show_correction(correction: Correction) -> None:
+    if not correction.before.contradicted:
+        console.stdout.print("The poses did not contradict the calibration as it was.")
+    rows = [[name, f"{chance:.3f}"] for name, chance in correction.probabilities.items()]
+    console.table("What has changed", ["change", "probability"], rows)
+    _show_judgement(correction.after)
+
+
 def _judge(request: JudgementRequest, json: bool, unused: dict[str, object]) -> None:
     """Judge a calibration by sessions of poses that it was not fitted to."""
     from fpplab.workflows.judge import run_judgement
 
-    for option, value in unused.items():
-        if value is not None:
-            raise ConfigError(
-                f"{option} does not go with --judge, which takes recorded sessions of its board"
-            )
+    _refuse_unused("--judge", unused)
     if not request.sessions:
         raise ConfigError("--judge needs sessions, one per pose, or the folder that holds them")
     result = run_judgement(request, ConsoleObserver())

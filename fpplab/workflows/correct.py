@@ -1,0 +1,57 @@
+"""Correct a calibration by one or a few poses of its board."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fpplab.results.observer import Observer
+
+if TYPE_CHECKING:
+    from fpplab.results.characterisation import CorrectionResult
+
+
+@dataclass(frozen=True)
+class CorrectionRequest:
+    """Which calibration to correct, by which sessions, and where the corrected one goes."""
+
+    calibration: Path
+    sessions: tuple[Path, ...]  # one per pose, or the folder that holds them
+    out: Path
+    force: bool = False  # whether existing files are replaced
+
+    @property
+    def page(self) -> Path:
+        """Where the report goes."""
+        return self.out.with_suffix(".html")
+
+
+def run_correction(request: CorrectionRequest, observer: Observer | None = None) -> CorrectionResult:
+    """Find what has changed since a calibration was made, and write the corrected one and a report."""
+    from fpplab.calibration.model import Calibration
+    from fpplab.core.files import refuse_existing, removed_on_failure
+    from fpplab.pipeline import correct_by_sessions
+    from fpplab.report.characterisation import write_judgement_report
+    from fpplab.results.characterisation import CorrectionResult, JudgementResult
+    from fpplab.results.provenance import poses_provenance
+    from fpplab.sessions.origin import calibration_origin
+    from fpplab.sessions.session import recorded_sessions
+
+    observer = observer or Observer()
+    for path in (request.out, request.page):
+        refuse_existing(path, request.force)
+    calibration = Calibration.load(request.calibration)
+    with observer.stage("Correcting") as progress:
+        sessions = recorded_sessions(list(request.sessions))
+        correction = correct_by_sessions(sessions, calibration, request.calibration, progress)
+    for reason in correction.after.left_out.values():
+        observer.message(f"left out: {reason}")
+    corrected = replace(correction.calibration, origin=calibration_origin(sessions))
+    correction = replace(correction, calibration=corrected)
+    provenance = poses_provenance(sessions, corrected, request.out)
+    judged = JudgementResult(correction.after, provenance, request.page)
+    write_judgement_report(request.page, request.out.stem, judged)
+    with removed_on_failure(request.page):
+        corrected.save(request.out)  # last: its existence means that all is done
+    return CorrectionResult(correction, provenance, request.out, request.page)
