@@ -57,6 +57,7 @@ def test_a_change_is_corrected_nearly_as_by_a_new_characterisation(
     assert not corrected.after.contradicted
 
 
+@pytest.mark.whole
 def test_what_changed_is_told_where_the_poses_tell(found: Characterisation) -> None:
     zoomed = changed_rigs(TRUE)["the lens of the projector zoomed by 0.4 %"]
     corrected = correct(found.calibration, seen_by(zoomed, 2, seed=21))
@@ -66,6 +67,7 @@ def test_what_changed_is_told_where_the_poses_tell(found: Characterisation) -> N
     assert corrected.untold == ()
 
 
+@pytest.mark.whole
 def test_uncertainties_hold(found: Characterisation) -> None:
     """Errors of the parameters in standard deviations of the independent modes of the stated covariance."""
     off = []

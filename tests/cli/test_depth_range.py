@@ -94,7 +94,7 @@ def test_the_report_names_the_range_and_the_set_that_cost_pixels(fpplab: Command
     assert cost["x 9 stripes"] > 1000
     assert done.json["points"] > 1000
     page = (session / "cloud.html").read_text(encoding="utf-8")
-    assert "leaves their fringe order uncertain, by fringe set: x 9 stripes" in page
+    assert "for an uncertain fringe order, by the set at fault: x 9 stripes" in page
     assert f"Only distances from {NEAR:g} to {FAR:g} mm count" in page
     # 9 and 120 stripes have the divisor 3: after every third of the projector both repeat.
     assert any("decoded wrongly" in one for one in done.json["warnings"])

@@ -97,6 +97,7 @@ def test_a_calibration_of_an_earlier_version_is_refused_with_the_reason(fpplab: 
     assert "calibration.yaml: 'board' is missing" in done.json["error"]
 
 
+@pytest.mark.whole
 def test_a_projector_that_was_turned_since_is_corrected_by_two_poses(
     fpplab: Command, demo: Demo, later: Path, tmp_path: Path
 ) -> None:

@@ -49,13 +49,13 @@ def test_a_plan_is_guessed_used_and_found_out(fpplab: Command, tmp_path: Path) -
     assert right.code == 0, right.err
     assert right.json["warnings"] == []
 
-    wrong = written(plan, tmp_path / "wrong.yaml", stripes=45.0)
+    wrong = written(plan, tmp_path / "wrong.yaml", stripes=46.0)
     imported = fpplab(
         "import", *words, *SIZE, *SQUARE, "--plan", wrong, "--out", tmp_path / "wrong", "--json"
     )
     assert imported.code == 0, imported.err
     [warning] = imported.json["warnings"]
-    assert "'fringes[2]' (x, 45 stripes) shows 48 stripes" in warning
+    assert "'fringes[2]' (x, 46 stripes) shows 48 stripes" in warning
     refused = fpplab("decode", tmp_path / "wrong", "--out", tmp_path / "wrong.npz")
     assert refused.code == 4, refused.err
     assert "write 'stripes: 48' in 'fringes[2]'" in refused.err
