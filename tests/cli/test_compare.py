@@ -61,6 +61,7 @@ def test_how_far_it_is_is_said_first(fpplab: Command, folder: Path, words: tuple
     assert first.endswith(end)
 
 
+@pytest.mark.whole
 def test_what_cannot_be_compared_for_want_of_an_alignment_names_it(
     fpplab: Command, folder: Path, tmp_path: Path
 ) -> None:

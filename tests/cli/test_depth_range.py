@@ -83,6 +83,7 @@ def test_without_a_range_the_message_says_where_it_may_stand(fpplab: Command, tm
     assert not (tmp_path / "plane" / "cloud.ply").exists()
 
 
+@pytest.mark.whole
 def test_the_report_names_the_range_and_the_set_that_cost_pixels(fpplab: Command, tmp_path: Path) -> None:
     session = recorded(tmp_path, None, (NEAR, FAR), noise=3500.0)
     done = fpplab(*words(session))

@@ -64,6 +64,7 @@ def test_the_cloud_carries_its_uncertainty(
     assert "common to all points" in page
 
 
+@pytest.mark.whole
 def test_without_covariance_the_noise_remains(fpplab: Command, session: Path, tmp_path: Path) -> None:
     calibration, out = saved(small_rig(), tmp_path / "c.yaml"), tmp_path / "cloud.ply"
     done = fpplab("reconstruct", session, "--calibration", calibration, "--out", out, "--json")

@@ -55,6 +55,7 @@ def test_a_useless_result_is_not_written(fpplab: Command, tmp_path: Path) -> Non
     assert page.count("<img") == len(done.json["findings"]) + 1
 
 
+@pytest.mark.whole
 def test_a_doubtful_result_is_told_first(fpplab: Command, tmp_path: Path) -> None:
     done = reconstructed(fpplab, faulty("ambient", 101), tmp_path)
     assert done.code == 0, done.err
@@ -64,6 +65,7 @@ def test_a_doubtful_result_is_told_first(fpplab: Command, tmp_path: Path) -> Non
     assert 'class="verdict doubtful"' in (tmp_path / "cloud.html").read_text()
 
 
+@pytest.mark.whole
 def test_limits_of_an_expert_are_used_and_said(fpplab: Command, tmp_path: Path) -> None:
     limits = tmp_path / "limits_bright_room.yaml"
     limits.write_text("ambient:\n  max_ratio: 9.0\n")

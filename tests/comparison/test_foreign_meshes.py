@@ -155,6 +155,7 @@ def test_other_units(mesh_scale: float, cloud_scale: float, reason: str) -> None
         compare(cloud, trimesh.Trimesh(mesh_scale * part().vertices, part().faces))
 
 
+@pytest.mark.whole
 def test_a_large_shape_of_which_little_is_seen() -> None:
     large = trimesh.creation.box([300.0, 200.0, 10.0])
     large.apply_translation([0.0, 0.0, 455.0])

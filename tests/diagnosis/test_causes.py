@@ -77,6 +77,7 @@ def added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     gc.collect()
 
 
+@pytest.mark.whole
 def test_a_cause_is_added_by_one_file(added: str, tmp_path: Path) -> None:
     _, _, found = measured(Bench())
     assert found.verdict is Verdict.DOUBTFUL
@@ -110,6 +111,7 @@ def test_every_limit_says_where_it_comes_from() -> None:
             assert any(source in words for source in ("Derived", "Measured", "Chosen")), (section, name)
 
 
+@pytest.mark.whole
 def test_limits_of_a_file_are_used_and_stay_with_the_verdict(tmp_path: Path) -> None:
     path = tmp_path / "limits_bright.yaml"
     path.write_text("exposure:\n  max_saturated_share: 0.9\n")

@@ -33,6 +33,7 @@ def test_full_at_every_page(place: Path, writing: object) -> None:
     assert [complaint for complaint in complaints if complaint] == []
 
 
+@pytest.mark.whole
 def test_a_disk_that_is_gone_is_told(place: Path) -> None:
     with disk(place):
         COMMANDS[1].prepare(place)

@@ -201,6 +201,7 @@ def test_calibrations_drawn_from_the_covariance_spread_the_points_as_predicted(a
     assert rms(cloud.sigma_form_mm) < 0.5 * rms(cloud.sigma_calibration_mm)  # type: ignore[arg-type]
 
 
+@pytest.mark.whole
 def test_noise_and_calibration_add_in_squares() -> None:
     rig, maps = replace(RIG, uncertainty=an_uncertainty(0.1)), noisy_maps(ONE_AXIS, seed=5)
     calibrations, one = drawn(rig, 100), maps()

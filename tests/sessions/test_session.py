@@ -53,6 +53,7 @@ def test_a_journal_torn_at_any_byte_of_its_last_line(whole: Path) -> None:
             check_whole(session)
 
 
+@pytest.mark.whole
 def test_killed_at_any_line_while_a_frame_is_written(tmp_path: Path) -> None:
     begun = record(tmp_path / "begun", 2).path
     for n in count():

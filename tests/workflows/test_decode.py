@@ -47,6 +47,7 @@ def test_maps_without_fault_are_good(tmp_path: Path) -> None:
     assert (tmp_path / "maps.npz").is_file()
 
 
+@pytest.mark.whole
 def test_useless_maps_are_not_written(tmp_path: Path, fpplab: Command) -> None:
     session = recorded(with_orders_in_doubt(6), tmp_path)
     done = fpplab("decode", session, "--out", tmp_path / "maps.npz", "--json")

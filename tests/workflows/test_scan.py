@@ -52,6 +52,7 @@ def scanned(bench: Path, out: Path, **options: Any) -> ScanResult:
         return scan(rig, plan, calibration, out, **options)
 
 
+@pytest.mark.whole
 def test_a_scan_in_python_is_that_of_the_command(fpplab: Command, bench: Path, tmp_path: Path) -> None:
     done = fpplab(
         "scan", "--rig", bench / "rig.yaml", "--plan", bench / "session" / "plan.yaml",

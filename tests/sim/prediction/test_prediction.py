@@ -104,6 +104,7 @@ def test_a_prediction_of_matt_parts_renders_nothing(rig: Rig, monkeypatch: pytes
     assert found.figures["completeness"].value > 0.5
 
 
+@pytest.mark.whole
 def test_rows_are_those_of_whole_frames(rig: Rig) -> None:
     """The mean of many draws is the light of the same pixels in a whole frame, within its noise."""
     assert isinstance(rig.simulation, Predictable)
