@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from fpplab.characterisation import Correction, Judgement
     from fpplab.characterisation.point_lists import PointListSource
     from fpplab.core.depth import DepthInterval
-    from fpplab.workflows.judge import JudgementRequest
 
 
 class ModelName(StrEnum):
@@ -165,19 +165,15 @@ def characterise_command(
     `fpplab characterise --judge calibration.yaml later_poses/`;
     `fpplab characterise --correct calibration.yaml new_pose/ --out corrected.yaml`
     """
-    unused: dict[str, object]
+    recorded = tuple(sessions or ())
+    unused = {"--rig": rig, "--target": target, "--points": points}
+    if corrected and judged:
+        raise ConfigError("--correct and --judge exclude each other; judge first")
     if corrected:
-        if judged:
-            raise ConfigError("--correct and --judge exclude each other; judge first")
-        unused = {"--rig": rig, "--target": target, "--points": points}
-        _correct(corrected, sessions or [], out, force, json, unused)
+        _correct(corrected, recorded, out, force, json, unused)
         return
     if judged:
-        from fpplab.workflows.judge import JudgementRequest
-
-        unused = {"--rig": rig, "--target": target, "--points": points}
-        page = out.with_suffix(".html") if out else None
-        _judge(JudgementRequest(judged, tuple(sessions or ()), page, force, confirm), json, unused)
+        _judge(judged, recorded, out, force, confirm, json, unused)
         return
     if confirm:
         raise ConfigError("--confirm goes with --judge CALIBRATION, and the poses that confirm it")
@@ -193,13 +189,13 @@ def characterise_command(
     until_mm = wanted_mm(guide, until, depth, rig)
     if target is None or out is None:
         option = "--target" if target is None else "--out"
-        raise ConfigError(missing_or_misplaced("fpplab characterise", option, list(map(str, sessions or ()))))
+        raise ConfigError(missing_or_misplaced("fpplab characterise", option, list(map(str, recorded))))
     if limits and guide:
         raise ConfigError("--limits is for recorded poses: with --guide each pose is judged as it is taken")
     request = CharacterisationRequest(
         target=Target.load(target),
         out=out,
-        sessions=tuple(sessions or ()),
+        sessions=recorded,
         points=point_list_source(points, camera_size, projector_size, lattice),
         rig=Rig.load(rig) if rig else None,
         plan=Plan.load(plan) if rig else None,
@@ -257,7 +253,12 @@ def point_list_source(
 
 
 def _correct(
-    path: Path, sessions: list[Path], out: Path | None, force: bool, json: bool, unused: dict[str, object]
+    path: Path,
+    sessions: tuple[Path, ...],
+    out: Path | None,
+    force: bool,
+    json: bool,
+    unused: Mapping[str, object],
 ) -> None:
     """Correct a calibration by sessions of a few poses of its board."""
     from fpplab.workflows.correct import CorrectionRequest, run_correction
@@ -267,11 +268,11 @@ def _correct(
         raise ConfigError("--correct needs sessions, one per pose, or the folder that holds them")
     if out is None:
         raise ConfigError("--correct needs --out, where the corrected calibration goes")
-    result = run_correction(CorrectionRequest(path, tuple(sessions), out, force), ConsoleObserver())
+    result = run_correction(CorrectionRequest(path, sessions, out, force), ConsoleObserver())
     console.print_result(result.summary(), json, lambda: _show_correction(result.correction))
 
 
-def _refuse_unused(option: str, unused: dict[str, object]) -> None:
+def _refuse_unused(option: str, unused: Mapping[str, object]) -> None:
     for name, value in unused.items():
         if value is not None:
             raise ConfigError(f"{name} does not go with {option}, which takes recorded sessions of its board")
@@ -285,14 +286,23 @@ def _show_correction(correction: Correction) -> None:
     _show_judgement(correction.after)
 
 
-def _judge(request: JudgementRequest, json: bool, unused: dict[str, object]) -> None:
+def _judge(
+    path: Path,
+    sessions: tuple[Path, ...],
+    out: Path | None,
+    force: bool,
+    confirm: bool,
+    json: bool,
+    unused: Mapping[str, object],
+) -> None:
     """Judge a calibration by sessions of poses that it was not fitted to."""
-    from fpplab.workflows.judge import run_judgement
+    from fpplab.workflows.judge import JudgementRequest, run_judgement
 
     _refuse_unused("--judge", unused)
-    if not request.sessions:
+    if not sessions:
         raise ConfigError("--judge needs sessions, one per pose, or the folder that holds them")
-    result = run_judgement(request, ConsoleObserver())
+    page = out.with_suffix(".html") if out else None
+    result = run_judgement(JudgementRequest(path, sessions, page, force, confirm), ConsoleObserver())
     console.print_result(result.summary(), json, lambda: _show_judgement(result.judgement))
     if result.judgement.contradicted:
         raise console.CommandExit(CalibrationError.exit_code)
