@@ -39,23 +39,30 @@ def _with_lens(calibration: Calibration, device: str, factor: float, shift_px: F
 
 def changed_rigs(calibration: Calibration) -> dict[str, Calibration]:
     """List the calibrations after each kind of change, by what people would call the change."""
+    return {name: rig for rigs in changes_by_part(calibration).values() for name, rig in rigs.items()}
+
+
+def changes_by_part(calibration: Calibration) -> dict[str, dict[str, Calibration]]:
+    """List the same by what has changed: the place of the devices, or the lens and picture of one."""
     pose, unit = calibration.T_projector_camera, np.eye(3)
-    changed: dict[str, Calibration] = {}
+    moved: dict[str, Calibration] = {}
     for axis, direction in zip("xyz", unit, strict=True):
         turn = RigidTransform.from_vectors(np.radians(TURN_DEG) * direction, np.zeros(3))
         shift = RigidTransform.from_vectors(np.zeros(3), SHIFT_MM * direction)
         about = f"turned by {TURN_DEG:g}° about its {axis} axis"
-        moved = f"the projector moved by {SHIFT_MM:g} mm along the camera's {axis} axis"
+        shifted = f"the projector moved by {SHIFT_MM:g} mm along the camera's {axis} axis"
         poses = {
             f"the projector {about}": turn @ pose,
             f"the camera {about}": pose @ turn,
-            moved: pose @ shift,
+            shifted: pose @ shift,
         }
-        changed |= {name: replace(calibration, T_projector_camera=new) for name, new in poses.items()}
+        moved |= {name: replace(calibration, T_projector_camera=new) for name, new in poses.items()}
+    parts = {"projector or camera moved": moved}
     for device in ("camera", "projector"):
         zoomed = f"the lens of the {device} zoomed by {100 * ZOOM:g} %"
-        changed[zoomed] = _with_lens(calibration, device, 1.0 + ZOOM, np.zeros(2))
+        of_device = {zoomed: _with_lens(calibration, device, 1.0 + ZOOM, np.zeros(2))}
         for direction, word in zip(unit[:2, :2], ("sideways", "up or down"), strict=True):
             name = f"the picture of the {device} {PICTURE_PX:g} px further {word}"
-            changed[name] = _with_lens(calibration, device, 1.0, PICTURE_PX * direction)
-    return changed
+            of_device[name] = _with_lens(calibration, device, 1.0, PICTURE_PX * direction)
+        parts[f"{device}'s lens or picture changed"] = of_device
+    return parts

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from fpplab.calibration.changes import changed_rigs, parameter_vector
+from fpplab.calibration.changes import changes_by_part, parameter_vector
 from fpplab.calibration.model import PARAMETERS, Calibration, Uncertainty
 from fpplab.characterisation.judging import CalibrationAsFitted, Judgement, judge
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import parameter_names
-from fpplab.characterisation.pose_effects import FUNCTIONS, effects_of_pose
+from fpplab.characterisation.pose_effects import effects_of_pose
 from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
@@ -37,20 +37,13 @@ all equally probable: turns by 0.03° to 1°, shifts by 0.3 to 10 mm. Chosen: be
 ITERATIONS = 4
 """Times the residuals are linearised. Chosen: each squares the relative error of the change."""
 
-HYPOTHESES = {
-    "projector or camera moved": ("the projector turned", "the projector moved"),
-    "camera's lens or picture changed": ("the lens of the camera", "the picture of the camera"),
-    "projector's lens or picture changed": ("the lens of the projector", "the picture of the projector"),
-}
-"""What may have changed, by how the names of the kinds begin that it is made of."""
-
 
 @dataclass(frozen=True, eq=False)
 class Correction:
     """A calibration as few poses of its board have it now."""
 
     calibration: Calibration
-    probabilities: dict[str, float]  # that it has changed, for each of `HYPOTHESES`
+    probabilities: dict[str, float]  # that each part of the rig has changed
     before: Judgement  # of the calibration as it was, by these poses
     after: Judgement  # of the corrected one
 
@@ -99,22 +92,19 @@ def correct(
         )
     probabilities = {
         name: float(sum(w for w, (names, _) in zip(weights, hypotheses, strict=True) if name in names))
-        for name in HYPOTHESES
+        for name in changes_by_part(calibration)
     }
     return Correction(corrected, probabilities, before, after)
 
 
-def _hypotheses(
-    calibration: Calibration, known: CalibrationAsFitted
-) -> list[tuple[tuple[str, ...], Floats]]:  # fmt: skip
+def _hypotheses(calibration: Calibration, known: CalibrationAsFitted) -> list[tuple[tuple[str, ...], Floats]]:
     """List what may have changed, with the changes (n, kinds) of the parameters that it means."""
     places = [PARAMETERS.index(name) for name in parameter_names(known.level)]
-    stated, rigs = parameter_vector(calibration), changed_rigs(calibration)
+    stated, parts = parameter_vector(calibration), changes_by_part(calibration)
     hypotheses: list[tuple[tuple[str, ...], Floats]] = [((), np.zeros((len(places), 0)))]
-    for count in range(1, len(HYPOTHESES) + 1):
-        for names in combinations(HYPOTHESES, count):
-            beginnings = tuple(beginning for name in names for beginning in HYPOTHESES[name])
-            changed = [parameter_vector(rig) for name, rig in rigs.items() if name.startswith(beginnings)]
+    for count in range(1, len(parts) + 1):
+        for names in combinations(parts, count):
+            changed = [parameter_vector(rig) for name in names for rig in parts[name].values()]
             kinds = (np.stack(changed, axis=1) - stated[:, None])[places]
             hypotheses += [(names, factor * kinds) for factor in PRIOR_FACTORS]
     return hypotheses
@@ -126,7 +116,7 @@ def _with_parameters(calibration: Calibration, known: CalibrationAsFitted, covar
         Pinhole(old.size, matrix_of(lens), lens[4:], old.lattice)
         for old, lens in ((calibration.camera, devices.camera), (calibration.projector, devices.projector))
     )
-    longer = np.append(np.zeros(len(covariance) - 3), known.errors.scale * pair[3:])  # which no image shows
+    longer = known.longer
     whole = covariance + np.outer(longer, longer)
     uncertainty = Uncertainty(parameter_names(known.level), 0.5 * (whole + whole.T))
     return replace(
@@ -170,12 +160,10 @@ class _Residuals:
         return _Fit(evidence, modes @ mean[-count:], modes @ covariance @ modes.T)
 
 
-def _linearised(
-    at: CalibrationAsFitted, moved: Floats, observations: Sequence[Observation]
-) -> _Residuals:  # fmt: skip
+def _linearised(at: CalibrationAsFitted, moved: Floats, observations: Sequence[Observation]) -> _Residuals:
     """Linearise the residuals about parameters that have moved from those stated."""
     n, count = len(moved), len(observations)
-    shared = np.repeat([at.errors.camera_shared_px, at.errors.projector_shared_px], 2 * FUNCTIONS)
+    shared = at.shared
     parts: list[Floats] = []
     for index, observation in enumerate(observations):
         problem, here = at.problem(observation, at.pose(observation))

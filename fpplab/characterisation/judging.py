@@ -185,11 +185,22 @@ class CalibrationAsFitted:
         pair = vectors_of(calibration.T_projector_camera)
         devices = Solution(lenses[0], lenses[1], pair, np.zeros((1, 6)), fitted.points, fitted.errors.carried)
         order = [uncertainty.names.index(name) for name in names]
-        # No image shows the board's scale: with it, all lengths would grow.
-        longer = np.append(np.zeros(len(names) - 3), fitted.errors.scale * pair[3:])
-        covariance = uncertainty.covariance[np.ix_(order, order)] - np.outer(longer, longer)
+        exact = cls(devices, fitted.errors, levels[0], np.zeros((len(names), 0)))
+        covariance = uncertainty.covariance[np.ix_(order, order)] - np.outer(exact.longer, exact.longer)
         values, vectors = np.linalg.eigh(covariance)
-        return cls(devices, fitted.errors, levels[0], vectors * np.sqrt(np.maximum(values, 0.0)))
+        return replace(exact, factor=vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    @property
+    def longer(self) -> Floats:
+        """By how much the board's scale may change the parameters, (n,): no image shows it."""
+        pair = self.devices.T_projector_camera
+        others = np.zeros(2 * len(self.level.terms) + 3)
+        return np.append(others, self.errors.scale * pair[3:])
+
+    @property
+    def shared(self) -> Floats:
+        """Standard deviations of the errors that the points of one pose share."""
+        return np.repeat([self.errors.camera_shared_px, self.errors.projector_shared_px], 2 * FUNCTIONS)
 
     def parameters(self) -> Floats:
         """List the parameters of both devices, (n,)."""
@@ -239,8 +250,9 @@ def _prediction(judged: CalibrationAsFitted, observation: Observation) -> _Predi
     _, slopes, _ = problem.slopes(0, at)
     n, rows = len(judged.factor), len(slopes)
     fitted, _ = np.linalg.qr(slopes[:, n : n + 6])
-    shared = np.repeat([judged.errors.camera_shared_px, judged.errors.projector_shared_px], 2 * FUNCTIONS)
-    every = np.hstack([np.eye(rows), effects_of_pose(problem, 0, at) * shared, slopes[:, :n] @ judged.factor])
+    every = np.hstack(
+        [np.eye(rows), effects_of_pose(problem, 0, at) * judged.shared, slopes[:, :n] @ judged.factor]
+    )
     remaining = problem.unwhitened(0, every - fitted @ (fitted.T @ every), at.carried)
     of_device = remaining.reshape(2, rows // 2, -1)
     residuals = np.stack([part.ravel() for part in at.residuals(0, observation)])
