@@ -32,11 +32,9 @@ class RealClock:
     """The computer's monotonic clock."""
 
     def now(self) -> float:
-        """Return the current time."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """Block the calling thread."""
         time.sleep(seconds)
 
 
@@ -47,7 +45,6 @@ class SteppedClock:
         self._now_s = 0.0
 
     def now(self) -> float:
-        """Return the current simulated time."""
         return self._now_s
 
     def sleep(self, seconds: float) -> None:

@@ -57,7 +57,6 @@ class UsbDevice:
 
     @property
     def ids(self) -> tuple[int, int]:
-        """Vendor and product id."""
         return self.vendor, self.product
 
     @property
@@ -117,7 +116,6 @@ def _with_video_port(device: FoundDevice, all_found: Iterable[FoundDevice]) -> F
 
 
 def usb_devices() -> tuple[list[UsbDevice], list[str]]:
-    """List the devices on USB."""
     try:
         import usb.core
     except ImportError as error:

@@ -53,7 +53,6 @@ class VirtualBenchOptions(Document):
     """Whether vibration is switched off."""
 
     def load_world(self) -> World:
-        """Load the world with the changes that these options make."""
         world = World.load(self.world)
         if self.binning is not None:
             world = world.binned(self.binning)
@@ -105,7 +104,6 @@ class VirtualBench:
                 self._check_lit(replace(self.setup, item=item, pose=pose))
 
     def poses(self) -> dict[str, tuple[RigidTransform, ...]]:
-        """Give the poses of every item of the world."""
         with self._naming_file():
             return {name: item_poses(self.world, name) for name in self.world.items}
 
@@ -160,7 +158,6 @@ class VirtualBench:
         return self._draws.popleft() if self._draws else count
 
     def turn(self, convergence_deg: float) -> None:
-        """Turn the projector towards the camera."""
         self.setup = replace(self.setup, convergence_deg=float(convergence_deg))
 
     def image_part_sampler(self, world_draw: int = 0) -> ImagePartSampler:
@@ -173,7 +170,6 @@ class VirtualBench:
         return SimStudio(self)
 
     def irradiance(self, settings: CameraSettings, frame: int) -> PatternLevels:
-        """Compute what reaches the sensor during a frame."""
         # returns (height, width)
         setup, show = self.setup, self.show
         if show is not None and setup.item != "nothing":

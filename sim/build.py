@@ -39,7 +39,6 @@ class SceneState:
 def build_scene(
     world: World, setup: SceneState, around: Surface | None = None
 ) -> tuple[RenderScene, MirrorTexture]:
-    """Build the scene with the mounted item in its pose."""
     surfaces = _mounted(world, setup)
     if around is not None:
         surfaces = (*surfaces, *_frame_surfaces(world, setup), around)

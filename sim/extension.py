@@ -36,7 +36,6 @@ _EPOCH = (2020, 1, 1, 0, 0, 0)
 
 
 def archive_files() -> dict[str, bytes]:
-    """Collect the files of the extension."""
     own = sorted(EXTENSION.glob("*.py"))
     files = [*(PACKAGE / name for name in SHARED), *own]
     placed = {f"{NAME}/{path.relative_to(PACKAGE).as_posix()}": path.read_bytes() for path in files}

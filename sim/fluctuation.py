@@ -32,7 +32,6 @@ class Fluctuation:
     def applied(
         self, picture: PatternLevels, ambient: PatternLevels, rows: NDArray[np.intp], frame: int
     ) -> PatternLevels:
-        """Change the light of one frame."""
         # picture (R, width); rows (R,); returns (R, width)
         # 1 separates the random numbers of light from those of displacements.
         random = np.random.default_rng([self.world.seed, frame, 1])

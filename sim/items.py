@@ -30,7 +30,6 @@ PRINT_PX_PER_MM = (4.0, 32.0)
 
 
 def item_poses(world: World, name: str) -> tuple[RigidTransform, ...]:
-    """List the poses that an item is held in."""
     item = world.item(name)
     if not isinstance(item, BoardItem):
         return (item.pose.transform(),)
@@ -69,7 +68,6 @@ def _part(path: Path, changed_ns: int) -> trimesh.Trimesh:
 
 
 def item_shape(world: World, name: str) -> tuple[Floats, NDArray[np.int64]]:
-    """Triangulate any item."""
     # returns vertices (V, 3) mm, faces (F, 3)
     item = world.item(name)
     if isinstance(item, CardItem):
@@ -82,7 +80,6 @@ def item_shape(world: World, name: str) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
-    """Make the surface that Blender is sent for an item."""
     item = world.item(name)
     vertices, faces = item_shape(world, name)
     if isinstance(item, BoardItem):

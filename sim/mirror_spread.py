@@ -92,7 +92,6 @@ class Interpolation:
 
 @lru_cache(maxsize=256)
 def interpolation(spread: MirrorPointSpread) -> Interpolation:
-    """Choose interpolation and filter for a spread."""
     weights, gain = _interpolation_weights(spread.interpolated)
     wider = math.sqrt(max(spread.blur**2 - WIDEST_BLUR**2, 0.0))
     gain_of_filter = spread.modulation(_FREQUENCIES) / gain

@@ -37,7 +37,6 @@ class ParameterEntry:
 def table_entry(
     doc: str, path: str | None = None, fit: FitRange | None = None, **more: Any
 ) -> dict[str, ParameterEntry]:
-    """Make the metadata of a dataclass field that is a parameter."""
     return {"parameter": ParameterEntry(doc, path, fit, **more)}
 
 

@@ -131,11 +131,9 @@ class TwinParameters(EffectParameters, DeviceParameters):
         return replace(self, **values, sigma=stated)
 
     def has(self, entry: ParameterEntry) -> bool:
-        """Whether the twin has the effect that a parameter describes."""
         return entry.effect is None or bool(np.any(getattr(self, entry.effect)))
 
     def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
-        """Replace one of the poses."""
         return replace(self, poses=(*self.poses[:index], pose, *self.poses[index + 1 :]))
 
 
@@ -157,7 +155,6 @@ UNCERTAIN = {
 
 
 def named_numbers(parameters: TwinParameters) -> dict[str, float | None]:
-    """Give every parameter that is a number by its name, then the numbers of tuples."""
     alone = {name: getattr(parameters, name) for name, entry in TABLE.items() if not entry.parts}
     tuples = {
         part: value

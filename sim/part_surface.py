@@ -30,10 +30,8 @@ class PartSurface:
         return self.sigma.get("reflectance", 0.0) / max(self.reflectance, 1e-6)
 
     def numbers(self) -> dict[str, float]:
-        """Give what describes a surface of this kind."""
         further = {"glossy": ("gloss", "gloss_roughness"), "translucent": ("radius_mm",)}
         return {name: getattr(self, name) for name in ("reflectance", *further.get(self.kind, ()))}
 
     def summary(self) -> dict[str, Any]:
-        """Give plain values."""
         return {"kind": self.kind, **self.numbers(), "sigma": dict(self.sigma)}

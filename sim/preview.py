@@ -37,7 +37,6 @@ class Arrangement:
     exposure_s: float = 0.02  # of every frame, in s
 
     def fringes(self) -> Plan:
-        """Make the plan of the fringes on show alone."""
         return self._plan([self.stripes])
 
     def plan(self) -> Plan:
@@ -63,7 +62,6 @@ def require_simulated(rig: Rig) -> None:
 
 
 def bench_of_rig(rig: Rig) -> VirtualBench:
-    """Give the simulation of an open rig."""
     assert isinstance(rig.simulation, VirtualBench), "see require_simulated"
     return rig.simulation
 
@@ -116,7 +114,6 @@ def stage_for_baseline(world: World, baseline_mm: float | None) -> float:
 
 
 def baseline_range_mm(world: World) -> tuple[float, float]:
-    """Compute which baselines the stage reaches."""
     at_zero = world.T_projector_camera().inverse().translation
     low, high = world.stage.travel_mm
     nearest = float(np.clip(-float(at_zero @ world.stage.offset(1.0)), low, high))
@@ -140,7 +137,6 @@ def arrangement_summary(rig: Rig, arrangement: Arrangement) -> dict[str, object]
 
 
 def arranged_setup(world: World, arrangement: Arrangement) -> SceneState:
-    """Find the state of the moving parts."""
     item = world.mounted if arrangement.item is None else arrangement.item
     if item == "nothing":
         raise ConfigError(f"world: nothing is mounted; name an item of {', '.join(world.items)}")

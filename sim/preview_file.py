@@ -54,14 +54,12 @@ _CLASSES = {
 
 
 def write_preview(preview: Preview, stream: IO[bytes]) -> None:
-    """Write a preview."""
     arrays: dict[str, NDArray[Any]] = {}
     tree = json.dumps(_to_plain_value(preview, arrays))
     np.savez(stream, **{_TREE: np.array(tree)}, **arrays)
 
 
 def read_preview(path: Path | str) -> Preview:
-    """Read a preview."""
     with np.load(path, allow_pickle=False) as archive:
         if _TREE not in archive:
             raise ValueError(f"{path} describes no rig")

@@ -35,17 +35,14 @@ class FramePart:
 
     @property
     def key(self) -> tuple[str, bytes, bytes]:
-        """Equal for equal parts."""
         return self.item, self.rows.tobytes(), self.columns.tobytes()
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of rows and of columns."""
         return len(self.rows), len(self.columns)
 
     @property
     def pixels(self) -> PixelIndices:
-        """Row and column of each pixel, row by row."""
         return np.repeat(self.rows, len(self.columns)), np.tile(self.columns, len(self.rows))
 
 
@@ -70,7 +67,6 @@ class ImagePartSampler:
         return mesh.copy().apply_transform(item_poses(self._world, item)[0].matrix)
 
     def surface(self, item: str) -> PartSurface | None:
-        """Give the surface of an item as it was matched to a scan."""
         return surface_of(self._world.material_of(item))
 
     def frames(

@@ -85,7 +85,6 @@ class BaseLayer:
 
 
 def matt(roughness: float = 0.0) -> BaseLayer:
-    """Make the base layer of matt paint."""
     return BaseLayer("diffuse", (("roughness", roughness),))
 
 

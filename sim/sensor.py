@@ -43,7 +43,6 @@ class SensorModel:
         return irradiance * per_pixel * self.binning**2
 
     def gain(self, settings: CameraSettings) -> float:
-        """Compute the system gain."""
         share = (1 - self.sensor.black_level) / (self.sensor.full_well_e * self.binning**2)
         return float(full_scale(settings.bits) * share * gain_factor(settings.gain_db))
 
@@ -61,7 +60,6 @@ class SensorModel:
         )
 
     def expose(self, irradiance: NDArray[np.float32], settings: CameraSettings, counter: int) -> Image:
-        """Expose one frame."""
         random = np.random.Generator(np.random.SFC64([self.seed, counter]))
         charge = irradiance * np.float32(self.electrons(1.0, settings.exposure_s))
         read = self.sensor.read_noise_e * self.binning

@@ -24,7 +24,6 @@ TEXTURE = "board_texture.png"
 
 
 def save_sheet(sheet: BoardSheet, folder: Path) -> dict[str, Any]:
-    """Write the file of a sheet."""
     fields: dict[str, Any] = {
         "margins_mm": sheet.margins_mm,
         "rim_mm": sheet.rim_mm,
@@ -61,7 +60,6 @@ def drawn_sheet(
     margins_mm: tuple[float, float, float, float],
     texture: str | None,
 ) -> tuple[NDArray[np.uint8], float]:
-    """Draw the reflectance of a sheet."""
     key = (ground.shape, target, margins_mm, texture, texture and _changed_ns(texture))
     if key not in _DRAWN:
         if len(_DRAWN) >= 16:

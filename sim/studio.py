@@ -92,7 +92,6 @@ class SimStudio:
         return {name: part for name, part in config.plain(self._nominal).items() if name not in _REPLACED}
 
     def calibration(self, stage_mm: float) -> Calibration:
-        """Give the true devices."""
         world = self._nominal
         return Calibration(
             world.camera_model(), world.projector_model(), world.T_projector_camera(stage_mm), rms_px={}
@@ -105,11 +104,9 @@ class SimStudio:
         self._bench.setup = replace(self._bench.setup, item=ITEM, pose=0)
 
     def world(self) -> dict[str, Any]:
-        """Give the world with the arranged scene."""
         return config.plain(self._bench.world)
 
     def truth(self) -> SceneTruth:
-        """Give the ground truth of the arranged scene."""
         world = self._bench.world
         vertices, faces = item_shape(world, ITEM)
         (pose,) = item_poses(world, ITEM)

@@ -40,13 +40,11 @@ def _surface(
 
 
 def _reflectance_picture(surroundings: BenchSurroundings) -> tuple[NDArray[np.uint8], float]:
-    """The reflectance as a picture, and that of its white."""
     white = max(float(surroundings.reflectance.max()), 1e-3)  # below it surroundings are black
     return np.rint(surroundings.reflectance * np.float32(255 / white)).astype(np.uint8), white
 
 
 def save_surroundings(surroundings: BenchSurroundings, folder: Path) -> SurroundingsSection:
-    """Write the files of surroundings."""
     mesh, picture = (folder.resolve() / f"surroundings{suffix}" for suffix in (".ply", ".png"))
     grey, white = _reflectance_picture(surroundings)
     content = export_ply(surroundings.mesh)

@@ -46,7 +46,6 @@ class PatternTextures:
 
     @property
     def nbytes(self) -> int:
-        """Size in bytes."""
         return self.texels.nbytes
 
 
@@ -67,7 +66,6 @@ class MirrorTexture:
 
     @property
     def fill(self) -> float:
-        """Side of a mirror, in texels."""
         return math.sqrt(self.fill_factor)
 
     @property

@@ -62,7 +62,6 @@ class Lights:
         self._light: Light | None = None
 
     def of(self, world: World) -> Light:
-        """Give the light of a world."""
         if self._light is None or self._world is not world:
             light = Light(world, self._blender, analytic=True)
             if self._light is not None:
@@ -78,7 +77,6 @@ class FrameCounter:
     next_frame: int = 0
 
     def take(self, count: int) -> range:
-        """Number some frames."""
         numbers = range(self.next_frame, self.next_frame + count)
         self.next_frame = numbers.stop
         return numbers
@@ -253,7 +251,6 @@ class Twin:
         return part_mesh(self.world, item)
 
     def pose_of(self, item: str) -> RigidTransform:
-        """Return where an item of the world stands."""
         return item_poses(self.world, item)[0]
 
     def _appearance_in_world(

@@ -42,7 +42,6 @@ SIZE = 96, 64
 
 
 def small_rig() -> Calibration:
-    """Make a small camera and projector."""
     camera = Pinhole.from_focal(SIZE, (200.0, 200.0), (47.5, 31.5), (0.01, 0.0, 0.0, 0.0, 0.0))
     projector = Pinhole.from_focal((912, 1140), (1100.0, 2200.0), (455.5, 569.5))
     turned = RigidTransform.from_vectors(np.array([0.0, -0.24, 0.0]), np.array([100.0, 0.0, 0.0]))

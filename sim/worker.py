@@ -90,7 +90,6 @@ class Blender:
         effort: RenderSettings,
         timeout_s: float,
     ) -> NDArray[np.float32]:
-        """Render a scene once for every view."""
         # textures (circles, rows, columns, 3)
         self.start()
         width, height = scene.camera.size

@@ -97,5 +97,4 @@ def family_of(model: str) -> Family | None:
 
 
 def raw_gain_of(model: str) -> RawGain | None:
-    """Find how GainRaw is meant by a model."""
     return next((gain for models, gain in RAW_GAINS if re.match(models, model)), None)

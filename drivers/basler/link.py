@@ -18,7 +18,6 @@ LOST = {
 
 
 def lost_on_link(nodes: Any) -> dict[str, int]:
-    """Read what the link has lost."""
     counts: dict[str, int] = {}
     with suppress(genicam.GenericException):  # an unplugged camera; that is reported by its own error
         for what, name in LOST.items():

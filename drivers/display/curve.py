@@ -9,7 +9,6 @@ from fpplab.core.conventions import Floats
 
 
 def srgb_light(values: ArrayLike) -> Floats:
-    """Compute the light of pixel values."""
     v = np.asarray(values, np.float64)
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 

@@ -66,7 +66,6 @@ class SdlDisplay:
         return self._process.pid if self._process is not None else None
 
     def open(self) -> None:
-        """Start the process and wait for the display."""
         need_extra("sdl2")
         self.close()
         context = multiprocessing.get_context("spawn")  # SDL and threads do not survive a fork
@@ -147,7 +146,6 @@ class SdlDisplay:
 
 
 def connected_displays() -> list[DisplayInfo]:
-    """List the displays of this computer, from a process of its own."""
     need_extra("sdl2")
     answer = ask_apart(screen.serve_displays, timeout_s=START_S)
     if isinstance(answer, screen.ScreenFailure):

@@ -51,7 +51,6 @@ class ProjectorBoard:
     # --- status and power
 
     def status(self) -> Status:
-        """Read the three status commands."""
         link = self.link
         return Status(
             link.read(protocol.HARDWARE_STATUS),
@@ -66,7 +65,6 @@ class ProjectorBoard:
             raise DeviceError(self._name, "open", "; ".join(status.faults), "switch the projector off and on")
 
     def version(self, firmware_part: str = "application") -> str:
-        """Read the version of a part of the firmware."""
         read = self.link.read(protocol.VERSION)
         return ".".join(str(read[f"{firmware_part}_{field}"]) for field in ("major", "minor", "patch"))
 
@@ -75,7 +73,6 @@ class ProjectorBoard:
         return self.link.read_bytes(protocol.FIRMWARE_TAG).split(b"\0")[0].decode("ascii", "replace")
 
     def is_standby(self) -> bool:
-        """Tell whether the projector is in standby."""
         return bool(self.link.read(protocol.POWER)["standby"])
 
     def wake(self) -> None:
@@ -109,7 +106,6 @@ class ProjectorBoard:
     # --- light
 
     def set_led_levels(self, levels: Mapping[str, int], inverted: bool) -> None:
-        """Set the LED currents."""
         for colour in COLOURS:
             if not 0 <= levels[colour] <= LED_FULL:
                 raise SettingError(
@@ -217,7 +213,6 @@ class ProjectorBoard:
         return self.link.read(protocol.VIDEO_SIGNAL)["lock"] == protocol.LOCKED
 
     def images_in_flash(self) -> int:
-        """Read the number of images in flash."""
         return self.link.read(protocol.IMAGES_IN_FLASH)["count"]
 
     def image_load_us(self, image: int) -> int:

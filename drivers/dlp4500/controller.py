@@ -37,7 +37,6 @@ class Controller(ProjectorBoard):
     """The DLPC350 behind a link; what sends commands may raise the errors of `Link.write` and `Link.read`."""
 
     def run(self, program: Program) -> None:
-        """Prepare and start a sequence."""
         # The LEDs stay off until the start: if the cable fails before, the light could not be switched off
         # any more.
         self.leds_off()

@@ -53,7 +53,6 @@ class UsbMessage:
         return bool(self.flags & ERROR)
 
     def reports(self) -> list[bytes]:
-        """Split the message into USB reports."""
         if len(self.payload) > MAX_PAYLOAD_BYTES:
             raise ValueError(f"a payload of {len(self.payload)} bytes: at most {MAX_PAYLOAD_BYTES}")
         message = struct.pack("<BBH", self.flags, self.sequence, len(self.payload)) + self.payload
@@ -69,7 +68,6 @@ def make_request(command: int, data: bytes, sequence: int, flags: int) -> UsbMes
 
 
 def parse_header(report: bytes) -> Header:
-    """Parse the header in the first report of a message."""
     if len(report) != REPORT_BYTES:
         raise ValueError(f"a report of {len(report)} bytes: {REPORT_BYTES}")
     header = Header(*struct.unpack_from("<BBH", report))
@@ -84,7 +82,6 @@ def continuation_reports(length: int) -> int:
 
 
 def join_reports(reports: Sequence[bytes]) -> UsbMessage:
-    """Reassemble a message from its reports."""
     flags, sequence, length = parse_header(reports[0])
     if len(reports) != 1 + continuation_reports(length) or any(len(r) != REPORT_BYTES for r in reports):
         raise ValueError(f"{len(reports)} reports for a payload of {length} bytes")

@@ -34,7 +34,6 @@ class InFlash:
 
     @property
     def depths(self) -> set[int]:
-        """Bit depths of the patterns in the index."""
         return self._index.depths
 
     @property

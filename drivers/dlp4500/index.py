@@ -31,7 +31,6 @@ def shown_image(pattern: Pattern) -> NDArray[np.uint8]:
 
 
 def index_checksum(image: NDArray[np.uint8]) -> str:
-    """Compute the checksum by which a pattern is identified."""
     # image (height, width)
     return hashlib.sha256(image.tobytes()).hexdigest()
 
@@ -52,12 +51,10 @@ class FlashPattern(Document):
 
     @property
     def slot(self) -> Slot:
-        """Location of the pattern."""
         return Slot(self.image, self.number, self.bits)
 
     @classmethod
     def of(cls, pattern: Pattern, image: int, number: int) -> FlashPattern:
-        """Create the entry of a pattern."""
         return cls(
             id=pattern.id,
             image=image,
@@ -75,16 +72,13 @@ class FlashIndex(Document):
 
     @classmethod
     def of(cls, patterns: Sequence[Pattern], slots: Sequence[Slot]) -> FlashIndex:
-        """Create the index of patterns."""
         places = zip(patterns, slots, strict=True)
         return cls(patterns=tuple(FlashPattern.of(p, at.image, at.number) for p, at in places))
 
     @property
     def depths(self) -> set[int]:
-        """Bit depths of the patterns."""
         return {pattern.bits for pattern in self.patterns}
 
     def find(self, name: str, bits: int, sha256: str) -> FlashPattern | None:
-        """Find a pattern by its contents."""
         matching = [p for p in self.patterns if (p.bits, p.sha256) == (bits, sha256)]
         return next((p for p in matching if p.id == name), matching[0] if matching else None)

@@ -23,11 +23,9 @@ class RegisterField:
     offset: int = 0  # subtracted from the value when it is packed, added when it is unpacked
 
     def values(self) -> Sequence[int]:
-        """List the allowed values."""
         return self.allowed or range(self.offset, (1 << self.bits) + self.offset)
 
     def check(self, value: int) -> None:
-        """Check that a value is allowed."""
         allowed = self.values()
         if value not in allowed:
             expected = f"{allowed[0]} to {allowed[-1]}" if isinstance(allowed, range) else f"one of {allowed}"
@@ -42,16 +40,13 @@ class RegisterLayout:
 
     @property
     def size(self) -> int:
-        """Size in bytes."""
         return sum(field.bits for field in self.fields) // 8
 
     @property
     def named(self) -> list[RegisterField]:
-        """The fields that are not reserved."""
         return [field for field in self.fields if field.name]
 
     def pack(self, values: Mapping[str, int]) -> bytes:
-        """Encode values."""
         names = {field.name for field in self.named}
         if names != set(values):
             raise ValueError(f"the fields are {sorted(names)}, given are {sorted(values)}")
@@ -64,7 +59,6 @@ class RegisterLayout:
         return word.to_bytes(self.size, "little")
 
     def unpack(self, data: bytes) -> Values:
-        """Decode values."""
         if len(data) != self.size:
             raise ValueError(f"{len(data)} bytes of data: {self.size}")
         word, values = int.from_bytes(data, "little"), {}
@@ -84,7 +78,6 @@ class RawBytes:
     max_bytes: int
 
     def check(self, data: bytes) -> None:
-        """Check the number of bytes."""
         if not self.min_bytes <= len(data) <= self.max_bytes:
             raise ValueError(f"{len(data)} bytes of data: {self.min_bytes} to {self.max_bytes}")
 

@@ -75,11 +75,9 @@ class OnVideo:
         self.load(board, ())
 
     def close(self) -> None:
-        """Close the display."""
         self._display.close()
 
     def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
-        """Assign the patterns to frames."""
         self._patterns, self._slots, self._displayed_image = (
             patterns,
             assign_slots(patterns, MAX_PATTERNS_IN_FRAME),

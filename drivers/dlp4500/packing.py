@@ -30,7 +30,6 @@ def assign_slots(patterns: Sequence[Pattern], max_patterns: int) -> list[Slot]:
 
 
 def pack_images(patterns: Sequence[Pattern], slots: Sequence[Slot]) -> Iterator[Planes]:
-    """Pack patterns into images."""
     width, height = SIZE
     placed = zip(patterns, slots, strict=True)
     for _, group in groupby(placed, key=lambda pair: pair[1].image):

@@ -36,7 +36,6 @@ EchoOption = Annotated[
 
 
 def connect_projector(serial: str | None, checks_echo: bool = True) -> Link:
-    """Begin a conversation with a projector."""
     from drivers.clock import RealClock
     from drivers.dlp4500.transport import Link, connect, load_hidapi
 

@@ -60,14 +60,12 @@ _STARTS = {
 
 
 def pattern_numbers(depth: int) -> range:
-    """List the pattern numbers of a bit depth."""
     if depth not in _STARTS:
         raise ValueError(f"depth is {depth}: 1 to 8")
     return range(len(_STARTS[depth]))
 
 
 def bit_planes(depth: int, number: int) -> range:
-    """List the bit planes of a pattern."""
     numbered = pattern_numbers(depth)
     if depth == 1 and number == SOLID:
         return range(0)
@@ -100,7 +98,6 @@ class Entry:
     share_trigger: bool = False
 
     def values(self) -> Values:
-        """Convert the entry to register fields."""
         lit = {colour: int(colour in self.leds) for colour in COLOURS}
         return lit | {
             "trigger": int(self.trigger),
@@ -142,11 +139,9 @@ class Program:
         return len(self.entries) * self.period_us * 1e-6
 
     def pattern_table(self) -> bytes:
-        """Encode the pattern table."""
         return b"".join(ENTRY.pack(entry.values()) for entry in self.entries)
 
     def image_table(self) -> bytes:
-        """Encode the image table."""
         # The controller reads a table of exactly two entries in reverse: TI's client swaps them when it
         # writes them, and TI's GUI swaps them back when it reads them.
         return bytes(reversed(self.images) if len(self.images) == 2 else self.images)
@@ -211,7 +206,6 @@ def video_program(
 
 
 def shortest_period_us(exposure_us: int, min_us: int = 0) -> int:
-    """Compute the shortest period that the controller accepts for an exposure."""
     return exposure_us if min_us <= exposure_us else max(min_us, exposure_us + MIN_GAP_US)
 
 
@@ -238,7 +232,6 @@ def check_sequence(program: Program) -> None:
 
 
 def _check_shared(entries: Sequence[Entry], exposure_us: int) -> None:
-    """Check the exposure of patterns that share one pulse, and with it one exposure."""
     starts = [i for i, entry in enumerate(entries) if not entry.share_trigger]
     for start, end in zip(starts, [*starts[1:], len(entries)], strict=True):
         group = entries[start:end]

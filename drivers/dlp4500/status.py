@@ -57,7 +57,6 @@ class Status:
 
 
 def hardware_faults(hardware: Values) -> list[str]:
-    """Describe the faults of a hardware status."""
     return [description for name, description in HARDWARE_FAULTS.items() if hardware[name]]
 
 

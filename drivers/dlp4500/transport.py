@@ -51,7 +51,6 @@ class HidModule(Protocol):
 
 
 def load_hidapi(name: str) -> HidModule:
-    """Import hidapi."""
     try:
         import hid
     except ImportError as error:
@@ -110,7 +109,6 @@ class Link:
         self.requests = 0
 
     def close(self) -> None:
-        """Close the device."""
         self._wire.close()
 
     def write(self, command: Command, **values: int) -> None:

@@ -139,7 +139,6 @@ class EmulatedBench:
             self._stack = stack.pop_all()
 
     def close(self) -> None:
-        """Close the optics and disconnect all devices."""
         self._stack.close()
 
     @property

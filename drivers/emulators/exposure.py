@@ -42,7 +42,6 @@ class BenchClock(SteppedClock):
         self.on_interval: Callable[[LightInterval], None] = lambda interval: None
 
     def sleep(self, seconds: float) -> None:
-        """Advance the time."""
         self.sleep_until(self.now() + seconds)
 
     def sleep_until(self, time_s: float) -> None:

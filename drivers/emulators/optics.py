@@ -46,7 +46,6 @@ class OpticsRig:
     def capture(
         self, settings: CameraSettings, greys: GreyImage | None, others: Callable[[], Iterable[GreyImage]]
     ) -> Image:
-        """Capture an image under given light."""
         # greys (height, width)
         camera = self._rig.camera
         bits = max(bits for bits in camera.caps.bits if bits <= settings.bits)
@@ -75,7 +74,6 @@ class PatternCache:
         self._indices: dict[bytes, int] = {}
 
     def show(self, greys: GreyImage, others: Callable[[], Iterable[GreyImage]]) -> None:
-        """Show grey levels."""
         # greys (height, width)
         fitted = self._resampled(greys)
         key = _key(fitted)

@@ -151,7 +151,6 @@ class EmulatedPylon(Pylon):
         self._open.pop(camera.serial, None)
 
     def has_open(self, camera: EmulatedCamera) -> bool:
-        """Return whether a program has opened a camera."""
         return self._open.get(camera.serial) is camera
 
     def expose(self, camera: EmulatedCamera) -> None:
@@ -178,12 +177,10 @@ class EmulatedCamera:
         self._emulator.on_opened(self)
 
     def Close(self) -> None:
-        """Close the camera as pylon does."""
         self._emulator.on_closed(self)
         self.instant.Close()
 
     def DestroyDevice(self) -> None:
-        """Destroy the device as pylon does."""
         self._emulator.on_closed(self)
         self.instant.DestroyDevice()
 
@@ -238,7 +235,6 @@ class EmulatedCamera:
             self.instant.TriggerSoftware.Execute()  # which pylon's emulator obeys with any trigger source
 
     def settings(self) -> CameraSettings:
-        """Return what the camera is set to."""
         bits = int(self._features.read(PIXEL_FORMAT).removeprefix("Mono"))
         return CameraSettings(self._features.read(EXPOSURE_US) / US_PER_S, self._features.read(GAIN_DB), bits)
 
@@ -252,7 +248,6 @@ class EmulatedCamera:
         self.instant.GetStreamGrabberNodeMap().GetNode("ImposedError").SetValue(message)
 
     def set_exposure_duration(self, exposure_s: float) -> None:
-        """Set how long emulated exposures take."""
         self.instant.ExposureTimeAbs.SetValue(exposure_s * US_PER_S)
 
 
@@ -267,12 +262,10 @@ class EmulatedSensorImage:
             (self.folder / name).symlink_to(image_folder / "now.tif")
 
     def set_image(self, image: Image, bits: int) -> None:
-        """Replace the image on the sensor."""
         scaled = image if bits == 8 else np.left_shift(image.astype(raw_dtype(16)), 16 - bits)
         self._replace(lambda path: tifffile.imwrite(path, scaled, photometric="minisblack", metadata=None))
 
     def write_invalid_image(self) -> None:
-        """Replace the image on the sensor by a file that is not an image."""
         self._replace(lambda path: path.write_bytes(b"no picture"))
 
     def _replace(self, write: Callable[[Path], object]) -> None:

@@ -30,7 +30,6 @@ class Features:
         return bool(self._node(feature).IsValid())
 
     def read(self, feature: FeatureNames) -> Any:
-        """Read the value of a feature."""
         node = self._node(feature)
         return node.GetValue() if node.IsReadable() else None
 
@@ -94,12 +93,10 @@ class Features:
             node.SetValue(value)
 
     def unit(self, feature: FeatureNames) -> str | None:
-        """Read the unit of a numeric feature."""
         node = self._node(feature)
         return str(node.GetUnit()) if node.IsValid() else None
 
     def execute(self, feature: FeatureNames, operation: str) -> None:
-        """Carry out a command."""
         name, node = self._named_node(feature)
         if not node.IsWritable():
             raise CapabilityError(self._device, operation, f"the camera does not take {name} at present")

@@ -34,7 +34,6 @@ class CameraGain:
         return to_db(minimum, self._conversion), to_db(maximum, self._conversion)
 
     def set_db(self, gain_db: float) -> float:
-        """Set the gain."""
         if self._in_db:
             return float(self._features.write(GAIN_DB, gain_db, "configure", tolerance=1.0))
         if not self._features.has(self._own):
@@ -50,7 +49,6 @@ class CameraGain:
 
 
 def to_db(raw: float, conversion: RawGain) -> float:
-    """Convert a raw gain to dB."""
     if conversion.unity is not None:
         return 20.0 * math.log10(raw / conversion.unity)
     assert conversion.db_per_step is not None

@@ -37,7 +37,6 @@ class SwitchNode:
         self._node = node
 
     def IsValid(self) -> bool:
-        """Return whether the camera implements the feature."""
         return bool(self._mode() != genapi.EAccessMode.NI)
 
     def IsReadable(self) -> bool:
@@ -49,11 +48,9 @@ class SwitchNode:
         return self._mode() in WRITABLE
 
     def GetValue(self) -> Any:
-        """Return the value."""
         return self._node.value
 
     def SetValue(self, value: Any) -> None:
-        """Set the value."""
         self._node.value = value
 
     def _mode(self) -> Any:
@@ -64,15 +61,12 @@ class NumberNode(SwitchNode):
     """An integer or a float."""
 
     def GetMin(self) -> Any:
-        """Return the least value at present."""
         return self._node.min
 
     def GetMax(self) -> Any:
-        """Return the greatest value at present."""
         return self._node.max
 
     def GetInc(self) -> Any:
-        """Return the step of an integer."""
         return self._node.inc
 
     def GetUnit(self) -> str:
@@ -92,7 +86,6 @@ class CommandNode(SwitchNode):
     """A command."""
 
     def Execute(self) -> None:
-        """Carry it out."""
         self._node.execute()
 
 
@@ -112,7 +105,6 @@ class GentlNodeMap:
         self._nodes = nodes
 
     def GetNode(self, name: str) -> Any:
-        """Look a feature up."""
         try:
             node = self._nodes.get_node(name)
         except genapi.LogicalErrorException:

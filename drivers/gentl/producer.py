@@ -51,7 +51,6 @@ class GentlProducer:
         self._harvester.add_file(str(path))
 
     def cameras(self) -> dict[str, Any]:
-        """List the cameras that the producer sees now."""
         self._harvester.update()
         return {
             reported_property(info, "serial_number") or info.id_: info
@@ -59,12 +58,10 @@ class GentlProducer:
         }
 
     def attach(self, info: Any) -> GentlEnd:
-        """Open a camera."""
         with _ctrl_c_restored():
             return GentlEnd(self._harvester.create({"id_": info.id_}), info)
 
     def close(self) -> None:
-        """Unload the producer."""
         self._harvester.reset()
 
 
@@ -84,7 +81,6 @@ class GentlEnd:
         return GentlNodeMap(self._acquirer.remote_device.node_map)
 
     def start(self, frames: int) -> None:
-        """Start the transfer of frames."""
         self._acquirer.num_buffers = frames + SPARE_BUFFERS
         self._acquirer.start()
 
@@ -119,7 +115,6 @@ class GentlEnd:
         self._acquirer.stop()
 
     def close(self) -> None:
-        """Release the camera."""
         self._acquirer.destroy()
 
 

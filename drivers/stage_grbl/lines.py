@@ -143,7 +143,6 @@ _OTHER = re.compile(r"\[[^\[\]]*\]|>.*:(ok|error:\d+)|\$N\d=.*")
 
 
 def parse_line(line: str) -> GrblMessage:
-    """Parse one line of the controller."""
     if line == "ok":
         return Ok()
     for beginning, kind in (("error:", GrblError), ("ALARM:", Alarm)):
@@ -185,10 +184,8 @@ def _parse_axes(text: str | None) -> Axes | None:
 
 
 def describe_error(code: int) -> str:
-    """Describe an error code."""
     return f"error:{code}, {ERRORS.get(code, 'which GRBL 1.1 does not document')}"
 
 
 def describe_alarm(code: int) -> str:
-    """Describe an alarm code."""
     return f"ALARM:{code}, {ALARMS.get(code, 'which GRBL 1.1 does not document')}"

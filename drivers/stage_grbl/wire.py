@@ -122,7 +122,6 @@ class GrblWire:
         self._write(operation, line.encode("ascii") + b"\n")
 
     def wait_for_answer(self, operation: str, line: str, timeout_s: float) -> bool:
-        """Wait for the answer to the line sent."""
         deadline = time.monotonic() + timeout_s
         while not self._answers:
             if not self._process_line(operation, deadline):

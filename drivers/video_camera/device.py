@@ -73,7 +73,6 @@ class VideoDevice:
         return capability.card.decode(), capability.bus.decode(), caps & needed == needed
 
     def formats(self) -> tuple[str, ...]:
-        """Return the four letters of each pixel format."""
         return tuple(self._formats())
 
     def format(self) -> tuple[str, int, int, int]:
@@ -98,7 +97,6 @@ class VideoDevice:
         return now.numerator / now.denominator if now.numerator and now.denominator else None
 
     def control(self, number: int) -> Control | None:
-        """Look a control up."""
         description = v4l2.ControlDescription(id=number)
         try:
             fcntl.ioctl(self._file, v4l2.QUERY_CONTROL, description)
@@ -119,7 +117,6 @@ class VideoDevice:
         )
 
     def get(self, number: int) -> int:
-        """Read a control."""
         control = v4l2.ControlValue(id=number)
         fcntl.ioctl(self._file, v4l2.GET_CONTROL, control)
         return int(control.value)
@@ -129,7 +126,6 @@ class VideoDevice:
         fcntl.ioctl(self._file, v4l2.SET_CONTROL, v4l2.ControlValue(id=number, value=value))
 
     def start(self) -> None:
-        """Let frames come."""
         request = v4l2.BufferRequest(count=BUFFERS, kind=v4l2.CAPTURE, memory=v4l2.MMAP)
         fcntl.ioctl(self._file, v4l2.REQUEST_BUFFERS, request)
         for index in range(request.count):
@@ -141,7 +137,6 @@ class VideoDevice:
         self._stream(v4l2.STREAM_ON)
 
     def read(self, timeout_s: float) -> StampedFrame | None:
-        """Wait for a frame."""
         ready, _, _ = select.select([self._file], [], [], max(timeout_s, 0.0))
         if not ready:
             return None

@@ -10,7 +10,6 @@ from fpplab.sessions.session import Session
 
 
 def next_frame_of(rig: Rig) -> int | None:
-    """Give the number of the next frame that a rig takes."""
     return rig.simulation.next_frame if isinstance(rig.simulation, NumberedFrames) else None
 
 

@@ -89,7 +89,6 @@ class SyncFault:
     other: int | None = None  # index of the later of two swapped frames; by default the next
 
     def shown(self, frames: int) -> list[int | None]:
-        """List the patterns that the frames show under this fault."""
         k, at = list(range(frames)), self.frame
         match self.cause:
             case Cause.LATE:
@@ -128,7 +127,6 @@ class SyncFault:
 
 
 def considered_faults(frames: int) -> Iterator[SyncFault]:
-    """Iterate over every fault that is considered."""
     yield SyncFault(Cause.LATE)
     yield SyncFault(Cause.EARLY)
     # A trigger missed at the last frame is a foreign last frame; one doubled at the first is a late row.
@@ -159,7 +157,6 @@ class SyncVerdict:
         return self.fits and not self.causes
 
     def describe(self) -> str:
-        """Describe what is wrong."""
         if not self.fits:
             return (
                 "the frames do not fit the plan: they are out of step with it, or the scene or its light "

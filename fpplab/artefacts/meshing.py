@@ -24,19 +24,16 @@ def rectangle_corners(x0: float, x1: float, y0: float, y1: float) -> Floats:
 
 
 def centred_rectangle(size: tuple[float, float], z: float) -> Floats:
-    """Compute the corners of a rectangle centred on the z axis."""
     # returns (4, 3) mm
     return raised(rectangle_corners(-size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2), z)
 
 
 def raised(loop: Floats, z: float) -> Floats:
-    """Translate a loop along z."""
     # loop (n, 3) mm; returns (n, 3) mm
     return np.asarray(loop + np.array([0.0, 0.0, z]))
 
 
 def profile_at(profile: Sequence[tuple[float, float]], y: float) -> Floats:
-    """Place a profile in the plane of a given y."""
     # profile (x, z) mm; returns (n, 3) mm
     return np.array([(x, y, z) for x, z in profile])
 

@@ -32,14 +32,12 @@ class Commands(TyperGroup):
             raise
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that was named."""
         if not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
             purposes = {name: each.get_short_help_str(500) for name, each in self.commands.items()}
             raise ConfigError(unknown_command(ctx.command_path, args[0], purposes))
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command that was named."""
         words = [*ctx._protected_args, *ctx.args]  # noqa: SLF001 - which click has no public name for
         try:
             return super().invoke(ctx)

@@ -131,7 +131,6 @@ def print_verdict_and_result(
 
 
 def table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
-    """Print a table on stdout."""
     from rich.table import Table
 
     grid = Table(title=title, title_justify="left")
@@ -152,7 +151,6 @@ def _plain(value: Any) -> Any:
 
 @contextmanager
 def stopwatch() -> Iterator[Callable[[], float]]:
-    """Measure time."""
     start = time.perf_counter()
     yield lambda: round(time.perf_counter() - start, 3)
 

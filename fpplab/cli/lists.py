@@ -20,7 +20,6 @@ class VariadicOptionsCommand(TyperCommand):
     """Lets the options of `LISTS` be followed by any number of paths."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments of the command."""
         return super().parse_args(ctx, repeat_option_per_path(args))
 
 

@@ -20,7 +20,6 @@ class StderrHandler(logging.Handler):
     """Prints records on stderr above a progress bar, if there is one."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print one record."""
         console.log_status(f"{self._time(record)}{record.getMessage()}")
 
     def _time(self, record: logging.LogRecord) -> str:

@@ -15,7 +15,6 @@ def printable(text: str) -> str:
 
 
 def readable(value: Any) -> str:
-    """Write a value in one line."""
     if isinstance(value, dict) and value:
         return ", ".join(f"{k} {readable(v)}" for k, v in value.items())
     if isinstance(value, list | tuple) and value:

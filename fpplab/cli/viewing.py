@@ -68,11 +68,9 @@ class ConsoleObserver(Observer):
     """Shows progress and messages on stderr."""
 
     def stage(self, name: str) -> AbstractContextManager[Progress]:
-        """Show a progress bar."""
         return console.progress(name)
 
     def message(self, sentence: str) -> None:
-        """Print a sentence."""
         console.log_status(sentence)
 
 
@@ -84,21 +82,17 @@ class MeasurementObserver(ConsoleObserver):
         self._has_maps = False
 
     def plan(self, plan: Plan, size: tuple[int, int], lattice: Lattice) -> None:
-        """Show what will be projected."""
         self._viewer.show(self._view.plan, plan, size, lattice)
 
     def calibration(self, calibration: Calibration) -> None:
-        """Show both devices."""
         self._viewer.show(self._view.calibration, calibration)
 
     def frame(self, frame: Frame) -> None:
-        """Show a frame."""
         from fpplab.viewer.measurement import ShownFrame
 
         self._viewer.show_one_of_many(self._view.frame, ShownFrame.of(frame))
 
     def maps(self, decoded: Decoded) -> None:
-        """Show projector coordinates."""
         self._has_maps = True
         self._viewer.show(self._view.maps, decoded)
 
@@ -169,7 +163,6 @@ class SearchObserver(ConsoleObserver):
         self._viewer = viewer
 
     def result(self, result: object) -> None:
-        """Print and show an epoch."""
         from fpplab.optimisation.candidate_runner import SearchEpoch
 
         if not isinstance(result, SearchEpoch):
@@ -200,7 +193,6 @@ def observe_measurement(
 def observe_characterisation(
     context: typer.Context, requested: bool, keep_open: bool, recording: Path
 ) -> Observer:
-    """Make what follows a characterisation."""
     if not (requested or keep_open):
         return ConsoleObserver()
     from fpplab.viewer.characterisation import CharacterisationView
@@ -210,7 +202,6 @@ def observe_characterisation(
 
 
 def observe_acceptance(context: typer.Context, requested: bool, keep_open: bool, recording: Path) -> Observer:
-    """Make what follows an acceptance test."""
     if not (requested or keep_open):
         return ConsoleObserver()
     from fpplab.viewer.acceptance import AcceptanceView
@@ -220,7 +211,6 @@ def observe_acceptance(context: typer.Context, requested: bool, keep_open: bool,
 
 
 def observe_response(context: typer.Context, requested: bool, keep_open: bool, recording: Path) -> Observer:
-    """Make what follows a measurement of the response."""
     if not (requested or keep_open):
         return ConsoleObserver()
     from fpplab.viewer.response import ResponseView
@@ -229,7 +219,6 @@ def observe_response(context: typer.Context, requested: bool, keep_open: bool, r
 
 
 def observe_search(context: typer.Context, requested: bool, keep_open: bool, recording: Path) -> Observer:
-    """Make what follows a search."""
     if not (requested or keep_open):
         return SearchObserver(None)
     from fpplab.viewer.search import SearchView

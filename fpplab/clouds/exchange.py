@@ -42,7 +42,6 @@ def check_exported(path: Path) -> None:
 
 
 def point_columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
-    """List all that is known of the points, by column."""
     # returns (N,)
     columns: dict[str, NDArray[Any]] = dict(zip(("x_mm", "y_mm", "z_mm"), cloud.coordinates.T, strict=True))
     if cloud.pixels is not None:

@@ -145,7 +145,6 @@ def _scatter(
 
 @njit(parallel=True, cache=True)
 def are_within(pixels: PixelColumnsRows, width: int, height: int) -> bool:
-    """Tell whether all pixels lie in an image."""
     # pixels (N, 2)
     outside = 0
     for i in prange(len(pixels)):

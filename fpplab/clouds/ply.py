@@ -187,7 +187,6 @@ def parse_rows(rows: TextRows, columns: int) -> Floats:
 
 
 def is_number(value: bytes) -> bool:
-    """Tell whether a value can be parsed."""
     try:
         float(value)
     except ValueError:

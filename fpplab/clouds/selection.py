@@ -19,7 +19,6 @@ Runs = NDArray[np.int64]
 
 
 def select_rows(arrays: Sequence[NDArray[Any]], kept: Mask) -> list[NDArray[Any]]:
-    """Take the same rows of several arrays."""
     # arrays (N,); kept (N,); returns (M,)
     runs = _runs(kept)
     count = int(runs[-1, 2] + runs[-1, 1] - runs[-1, 0]) if len(runs) else 0
@@ -90,7 +89,6 @@ def _copy(values: NDArray[Any], runs: Runs, width: int, selected: NDArray[Any]) 
 
 @njit(parallel=True, cache=True)
 def are_finite(points: NDArray[np.float32]) -> bool:
-    """Tell whether all coordinates are finite."""
     # points (N, 3)
     wrong = 0
     for i in prange(len(points)):

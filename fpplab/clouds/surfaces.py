@@ -47,7 +47,6 @@ def is_continuous(da: float, db: float, dw: float, w: float, noise: float) -> bo
 def surface_normals(
     index: NDArray[np.int32], a: Map, b: Map, w: Map, noise: Map, normals: NDArray[np.float32]
 ) -> None:
-    """Compute the normals of all points of a pixel grid."""
     # index (height, width); a, b, w, noise (height, width); normals (N, 3)
     height, width = index.shape
     for v in prange(height):
@@ -94,7 +93,6 @@ def _add_neighbours(
 
 @njit(error_model="numpy")
 def _solve_planes(index: Any, a0: Any, b0: Any, w0: Any, sums: Any, pixel_count: int, normals: Any) -> None:
-    """Turn the sums into normals."""
     for j in range(pixel_count):
         i = _u(j)
         count, sa, sb, sw = sums[i], sums[i + _SA], sums[i + _SB], sums[i + _SW]

@@ -85,7 +85,6 @@ class Alignment:
 
 
 def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignment:
-    """Align a mesh to points."""
     # The points are assumed to be seen from the origin, so that they lie on the mesh's outer side.
     # points (N, 3) mm
     random = np.random.default_rng(seed)

@@ -411,7 +411,6 @@ def visible_samples(
     illuminated: bool = True,
     max_samples: int | None = None,
 ) -> VisibleSurface:
-    """Draw uniform samples of the visible surface of a mesh."""
     centres = [np.zeros(3)]
     if calibration is not None and illuminated:
         centres.append(calibration.projector_centre)

@@ -89,7 +89,6 @@ class MeasuredLength:
 def measure_lengths(
     points: Floats, camera: Floats, lengths: tuple[FeatureLength, ...]
 ) -> tuple[MeasuredLength, ...]:
-    """Measure lengths in a cloud."""
     # points (N, 3) mm; camera (3,)
     return tuple(_measure_length(points, camera, length) for length in lengths)
 

@@ -27,7 +27,6 @@ Starts = NDArray[np.int64]
 
 
 def nearest_neighbours(queries: Floats, points: Floats) -> tuple[Floats, Indices]:
-    """Find the nearest neighbour of each query."""
     # queries (Q, 3); points (P, 3); returns distance (Q,), index (Q,)
     queries, points = _require_points(queries, "queries"), _require_points(points, "points")
     centre, axes = _principal_axes(points)

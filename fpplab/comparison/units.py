@@ -30,7 +30,6 @@ class UnitLimits:
     surroundings. Chosen."""
 
     def is_usual(self, ratio: float) -> bool:
-        """Whether the sizes speak for one unit."""
         low, high = self.usual_size_ratio
         return low < ratio < high
 

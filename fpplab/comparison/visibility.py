@@ -34,7 +34,6 @@ class RayTracedShape:
         return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
     def first_face(self, centre: Floats, directions: Floats) -> NDArray[np.int64]:
-        """Find the faces that rays meet first."""
         # centre (3,) mm; directions (N, 3); returns (N,)
         return np.asarray(self._scene.run(*_rays(centre, directions), query="INTERSECT"), np.int64)
 

@@ -30,12 +30,10 @@ class CacheFolder:
 
 
 def cache_folders() -> list[CacheFolder]:
-    """List what is kept."""
     return [_described(path) for path in _folders()]
 
 
 def clear_caches() -> list[CacheFolder]:
-    """Delete all that is kept."""
     cleared = cache_folders()
     for folder in cleared:
         with writing(folder.path), suppress(FileNotFoundError):  # another process clears it too

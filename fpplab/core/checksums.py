@@ -29,7 +29,6 @@ class RecordedFile:
 
     @classmethod
     def of_line(cls, line: bytes) -> RecordedFile:
-        """Read a line of the record."""
         entry = parse_object(line)
         file, sha256, text = (entry.get(name) for name in ("file", "sha256", "text"))
         if not (isinstance(file, str) and isinstance(sha256, str) and isinstance(text, str | None)):
@@ -38,7 +37,6 @@ class RecordedFile:
 
     @classmethod
     def of_text(cls, file: str, text: str, keep: bool = True) -> RecordedFile:
-        """Record a content."""
         return cls(file, _sha256(text.encode("utf-8")), text if keep else None)
 
     @property
@@ -76,7 +74,6 @@ def check_recorded(path: Path, content: bytes) -> None:
 
 
 def recorded_files(folder: Path) -> list[RecordedFile]:
-    """Read what a session records of its small files."""
     record = folder / CHECKSUMS
     if not record.is_file():
         return []

@@ -72,7 +72,6 @@ _YAML_ADVICE = {
 
 
 def parse_yaml(text: str, source: Path | str) -> Any:
-    """Parse YAML text as plain data."""
     try:
         return load_yaml(text)
     except yaml.MarkedYAMLError as error:
@@ -113,7 +112,6 @@ def load_document(path: Path | str, model: type[D], kind: WantedKind | None = No
 
 
 def validate(data: Any, model: type[D], source: Path | str) -> D:
-    """Validate plain data as a document."""
     if not isinstance(data, dict):
         raise ConfigError(f"{source}: expected a mapping of fields, found {_shown(data)}")
     try:
@@ -254,7 +252,6 @@ _PACKAGE, _CHECKOUT = (Path(__file__).parents[up] / "configs" for up in (1, 2))
 
 
 def shipped_configs(kind: ConfigKind | None = None) -> list[str]:
-    """List the configurations that come with fpplab."""
     names = {path.stem for folder in (_PACKAGE, _CHECKOUT) for path in folder.glob("*.yaml")}
     return sorted(name for name in names if kind is None or name.split("_")[0] == kind)
 

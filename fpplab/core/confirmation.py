@@ -31,7 +31,6 @@ def confirm_in_advance(operations: Iterable[ConfirmationRequired]) -> None:
 
 
 def can_confirm(operation: ConfirmationRequired) -> bool:
-    """Whether an operation is confirmed already, or the user can be asked."""
     return operation in _confirmed or _has_terminal()
 
 
@@ -47,7 +46,6 @@ def confirm(operation: ConfirmationRequired, consequence: str) -> bool:
 
 
 def how_to_confirm(operation: ConfirmationRequired) -> str:
-    """Say how an operation is confirmed."""
     return f"confirm it at a terminal, or add --allow {operation.value}"
 
 

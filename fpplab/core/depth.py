@@ -32,5 +32,4 @@ class DepthRange:
 
 
 def first_stated(*stated: tuple[DepthInterval | None, str]) -> DepthRange | None:
-    """Give the range that counts."""
     return next((DepthRange(mm, source) for mm, source in stated if mm is not None), None)

@@ -32,11 +32,9 @@ class DirectWriter(io.BufferedIOBase):
         _set_direct(handle, True)
 
     def writable(self) -> bool:
-        """Tell that it can be written."""
         return True
 
     def write(self, data: Any) -> int:
-        """Append bytes."""
         source, done = memoryview(data).cast("B"), 0
         while done < len(source):
             part = source[done : done + STAGED_BYTES - self._filled]

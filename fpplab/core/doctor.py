@@ -81,7 +81,6 @@ def check_packages() -> list[DoctorFinding]:
 
 
 def check_libraries() -> list[DoctorFinding]:
-    """Look for the system libraries of what is installed."""
     findings = []
     for name, module, libraries in (("Blender's libraries", "bpy", BLENDER), ("USB", "usb", USB)):
         if find_spec(module) is not None:
@@ -149,7 +148,6 @@ def check_disk(folder: Path, size: int = LIMITS.trial_bytes) -> DoctorFinding:
 
 
 def disk_speed_finding(folder: Path, speed: float) -> DoctorFinding:
-    """Judge the speed of a disk."""
     observed = f"{folder.absolute()}: {speed / 1e6:.0f} MB/s written"
     if speed < LIMITS.min_bytes_per_s:
         return DoctorFinding("disk", "wrong", observed, "measure onto a faster disk, or frames may be lost")

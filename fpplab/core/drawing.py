@@ -84,7 +84,6 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def single_axes(width: float, height: float) -> tuple[Figure, Axes]:
-    """Make a figure with one pair of axes."""
     figure = new_figure(width, height)
     return figure, figure.subplots()
 
@@ -98,7 +97,6 @@ def side_by_side(height: float, ratios: tuple[float, float]) -> tuple[Figure, tu
 
 
 def map_axes(shape: tuple[int, ...]) -> tuple[Figure, Axes]:
-    """Make a figure of half width for a map."""
     # shape (h, w)
     return single_axes(HALF, map_height(shape, HALF))
 
@@ -145,7 +143,6 @@ def draw_map(
 
 
 def draw_frame(image: Image, bits: int = 8) -> Figure:
-    """Draw one frame with its saturated pixels marked."""
     full = full_scale(bits)
     saturated = image >= full
     figure, axes = map_axes(image.shape)
@@ -170,7 +167,6 @@ def draw_frame(image: Image, bits: int = 8) -> Figure:
 
 
 def colour_bar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> mpl.colorbar.Colorbar:
-    """Add a colour bar next to axes."""
     bar = figure.colorbar(mappable, ax=axes, label=label, fraction=0.05, pad=0.02, aspect=28)
     bar.outline.set_visible(False)
     return bar

@@ -37,13 +37,11 @@ class MissingExtraError(ConfigError):
 
 
 def extra_of(module: str) -> str:
-    """Name the extra that brings a module."""
     first = module.partition(".")[0]
     return next((extra for extra, modules in EXTRAS.items() if first in modules), "")
 
 
 def how_to_install(module: str) -> str:
-    """Say that a module is missing, and how to install it."""
     first = module.partition(".")[0]
     extra = extra_of(module)
     requirement = f"'fpplab[{extra}]'" if extra else first
@@ -51,7 +49,6 @@ def how_to_install(module: str) -> str:
 
 
 def missing_extra(error: BaseException) -> MissingExtraError | None:
-    """Tell whether an error is that a package of an extra is missing."""
     if isinstance(error, ModuleNotFoundError) and error.name and extra_of(error.name):
         return MissingExtraError(error.name)
     return None

@@ -37,7 +37,6 @@ class RigidTransform:
 
     @classmethod
     def identity(cls) -> RigidTransform:
-        """Return the transform that changes nothing."""
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
@@ -61,7 +60,6 @@ class RigidTransform:
         return matrix
 
     def inverse(self) -> RigidTransform:
-        """Invert the transform."""
         return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
 
     def moved(self, by: Floats) -> RigidTransform:
@@ -76,7 +74,6 @@ class RigidTransform:
         )
 
     def apply(self, points: Floats) -> Floats:
-        """Transform points."""
         # points (..., 3) mm; returns (..., 3) mm
         return np.asarray(points @ self.rotation.T + self.translation)
 
@@ -95,7 +92,6 @@ def turned_towards(T_b_a: RigidTransform, angle_rad: float) -> RigidTransform:
 
 # Other modules compile it into their kernels, whose caches numba renews only when those modules change.
 def distort(x: Any, y: Any, lens: Floats | Sequence[float]) -> tuple[Any, Any, Any, Any, Any]:
-    """Distort ray slopes."""
     k1, k2, p1, p2, k3, k4, k5, k6 = lens
     square = x * x + y * y
     below = 1.0 / (1.0 + square * (k4 + square * (k5 + square * k6)))
@@ -165,7 +161,6 @@ class Pinhole:
         return Pinhole(size, matrix, self.distortion, self.lattice)
 
     def project(self, points: Floats, T_device_world: RigidTransform | None = None) -> Floats:
-        """Project points to pixels."""
         # Without the derivatives by pose and intrinsics that `cv2.projectPoints` always computes from Python:
         # several times as fast. Beyond `reach` the model has pixels too, but a lens has not.
         # points (..., 3) mm; returns (..., 2) px

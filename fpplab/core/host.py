@@ -42,7 +42,6 @@ def required_packages() -> list[tuple[str, str]]:
 
 
 def package_version(distribution: str) -> str | None:
-    """Look up the version of an installed package."""
     try:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError:

@@ -36,7 +36,6 @@ def append_line(path: Path, line: str) -> None:
 
 
 def whole_lines(path: Path) -> list[bytes]:
-    """Read the complete lines of a journal."""
     # What follows the last newline was cut off while it was written, and is left out.
     try:
         return read_bounded(path, MAX_JOURNAL_BYTES).split(b"\n")[:-1]

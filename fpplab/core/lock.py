@@ -31,12 +31,10 @@ FIRST_BYTE, SHARES = 1 << 30, 32
 
 
 def open_lock(path: Path, mode: int = 0o644) -> int:
-    """Open a lock file, made if it is not there."""
     return os.open(path, os.O_RDWR | os.O_CREAT, mode)  # Python lets no child inherit it
 
 
 def try_lock(handle: int, shared: bool = False) -> bool:
-    """Lock an open file at once, or not at all."""
     if fcntl is None:
         return _try_bytes(handle, shared)
     try:
@@ -125,7 +123,6 @@ def _is_there_still(handle: int, path: Path) -> bool:
 
 
 def write_lock_owner(handle: int) -> None:
-    """Write this process into a file that it has locked."""
     owner = {
         "pid": os.getpid(),
         "host": socket.gethostname(),

@@ -16,7 +16,6 @@ def trace_devices(enabled: bool) -> None:
 
 
 def log_traffic(device: str, direction: str, data: bytes | str) -> None:
-    """Log one message to or from a device, if that was asked for."""
     if _state["traced"]:
         message = data.rstrip(b"\0").hex() if isinstance(data, bytes) else data
         _traffic.info(

@@ -51,7 +51,6 @@ def grey_picture(values: NDArray[Any], max_px: int = 240) -> bytes:
 
 
 def axes_or_new(axes: Axes | None) -> Axes:
-    """Give the axes to draw into."""
     if axes is not None:
         return axes
     from matplotlib import pyplot as plt

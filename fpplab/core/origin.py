@@ -23,12 +23,10 @@ class DeviceIdentity(Document):
     """Of a camera: column and row of the sensor where its frames begin, in px; None where it is unknown."""
 
     def is_same_device(self, other: DeviceIdentity) -> bool:
-        """Tell whether model and serial number are the same."""
         return (self.model, self.serial) == (other.model, other.serial)
 
     @property
     def description(self) -> str:
-        """Model and serial number."""
         return f"{self.model}, serial {self.serial}" if self.serial else f"{self.model}, no serial number"
 
 

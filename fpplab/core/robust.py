@@ -31,7 +31,6 @@ def huber_weights(residuals: Floats, spread: float, limit: float = HUBER) -> Flo
 
 
 def cell_numbers(places: Floats, side: float) -> NDArray[np.int64]:
-    """Number the cells that places lie in."""
     # places (N, D) mm; returns (N,)
     numbers = np.unique(np.floor(places / side).astype(np.int64), axis=0, return_inverse=True)[1]
     return np.asarray(numbers, np.int64).reshape(-1)

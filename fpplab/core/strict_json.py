@@ -7,7 +7,6 @@ from typing import Any
 
 
 def parse_json(content: bytes | str) -> Any:
-    """Parse JSON from any source."""
     try:
         return json.loads(content)
     except RecursionError:
@@ -15,7 +14,6 @@ def parse_json(content: bytes | str) -> Any:
 
 
 def parse_object(content: bytes | str) -> dict[str, Any]:
-    """Parse a JSON object."""
     parsed = parse_json(content)
     if not isinstance(parsed, dict):
         raise ValueError("it is not an object with fields")

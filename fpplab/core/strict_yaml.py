@@ -127,7 +127,6 @@ def _refusal(problem: str, at: Any) -> yaml.MarkedYAMLError:
 
 
 def load_yaml(text: str) -> Any:
-    """Parse YAML text as plain data."""
     if len(text) > LIMITS.max_characters:
         raise ValueError(f"it has {len(text)} characters, more than {LIMITS.max_characters}")
     return yaml.load(text, _Loader)

@@ -33,7 +33,6 @@ def cache_directory() -> Path:
 
 
 def missing(libraries: dict[str, str]) -> list[str]:
-    """Find the libraries that cannot be loaded."""
     return [package for name, package in libraries.items() if not _loads(name)]
 
 

@@ -26,7 +26,6 @@ def write_csv(path: Path, rows: Iterable[Row]) -> None:
 
 
 def csv_text(rows: Iterable[Row]) -> str:
-    """Write rows as the text of a CSV file."""
     rows = list(rows)
     columns = dict.fromkeys(name for row in rows for name in row)
     stream = io.StringIO(newline="")
@@ -61,7 +60,6 @@ def _read_tables(path: Path) -> dict[str, list[Row]]:
 
 
 def tables_of(answer: Mapping[str, Any]) -> dict[str, list[Row]]:
-    """Arrange nested values as tables."""
     # A list of objects is a table, named by the keys that lead to it; a list in its rows is another one,
     # whose rows say in the first column to which row they belong, counted from 0. What is said once is a row
     # of the table `SUMMARY`. Keys of objects within objects are joined by dots, as are the places in lists of

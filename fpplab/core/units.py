@@ -12,7 +12,6 @@ MM = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "mm": 1.0, "cm": 10.0, "
 
 
 def length_mm(text: str, option: str) -> float:
-    """Read a positive length with its unit."""
     match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*([^\W\d]*)\s*", text)
     units = "um, mm, cm or m"
     if match is None:

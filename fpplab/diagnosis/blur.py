@@ -54,12 +54,10 @@ class Blur:
 
     @property
     def is_out_of_focus(self) -> bool:
-        """Whether a lens is out of focus."""
         return self.contrast < self.limits.min_contrast * self.sharp_contrast or self.is_soft
 
     @property
     def evidence(self) -> str:
-        """The figures in words."""
         edges = "there are no edges to compare with"
         if self.edges_px is not None:
             edges = f"edges in the image by {self.edges_px:.1f} px"

@@ -44,7 +44,6 @@ def cause_named(key: str) -> FaultCause:
 
 
 def limit_sections() -> dict[str, type[LimitsSection]]:
-    """List the sections of a file of limits."""
     known_causes()
     return {
         limits.section: limits

@@ -51,18 +51,15 @@ class Criterion:
 
     @property
     def is_met(self) -> bool:
-        """Whether the value is within its limit."""
         return self.value >= self.limit if self.at_least else self.value <= self.limit
 
     @property
     def sentence(self) -> str:
-        """The criterion in words."""
         unit = f" {self.unit}" if self.unit else ""
         word = "at least" if self.at_least else "at most"
         return f"{self.meaning} is {self.value:.2g}{unit} ({word} {self.limit:.2g}{unit})"
 
     def summary(self) -> dict[str, object]:
-        """Collect what is printed."""
         bound = {"least" if self.at_least else "most": self.limit}
         return {"name": self.name, "value": self.value, **bound, "unit": self.unit, "met": self.is_met}
 

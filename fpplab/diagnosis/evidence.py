@@ -47,7 +47,6 @@ class Evidence:
     limits: DiagnosisLimits = USUAL_LIMITS
 
     def has(self, needed: Needs) -> bool:
-        """Tell whether there is what a picture needs."""
         available = {
             Needs.FINDING: True,
             Needs.FRAMES: self.recording is not None,
@@ -69,7 +68,6 @@ class Evidence:
 
     @cached_property
     def points(self) -> PointSample:
-        """Points of the scan."""
         assert self.cloud is not None
         assert self.calibration is not None
         return PointSample(self.cloud, self.calibration)
@@ -89,7 +87,6 @@ class Evidence:
 
     @property
     def plan(self) -> Plan:
-        """The plan that the points are judged by."""
         if self.intended is not None:
             return self.intended
         assert self.recording is not None

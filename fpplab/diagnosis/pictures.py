@@ -26,7 +26,6 @@ from fpplab.diagnosis.sample import FrameSample
 
 
 def curve_axes() -> tuple[Figure, Axes]:
-    """Make a figure of half width for a curve or a histogram."""
     return single_axes(HALF, 2.4)
 
 
@@ -61,7 +60,6 @@ def draw_phases_by_set(sample: FrameSample) -> Figure:
 
 
 def draw_limit(axes: Any, value: float, label: str) -> None:
-    """Draw a limit as a line across axes."""
     axes.axvline(value, color=ALARM, linewidth=1.2, label=f"limit {value:.3g}: {label}")
     axes.legend(loc="best")
 
@@ -118,7 +116,6 @@ def draw_errors_by_phase(sample: FrameSample) -> Figure:
 
 
 def _mean_by_phase_bin(angles: Floats, values: Floats, bins: int = 48) -> tuple[Floats, Floats]:
-    """Mean of values over one period."""
     place = np.floor((angles % (2 * np.pi)) / (2 * np.pi) * bins).astype(np.intp).ravel() % bins
     total, count = np.bincount(place, values.ravel(), bins), np.bincount(place, minlength=bins)
     with np.errstate(invalid="ignore"):

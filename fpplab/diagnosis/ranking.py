@@ -10,7 +10,6 @@ from fpplab.diagnosis.finding import FaultCause, Finding
 
 
 def rank_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Rank findings, the one to see to first at the front."""
     ordered = _with_rig_first(list(findings))
     weighed = [
         replace(
@@ -47,7 +46,6 @@ def _excess_below_causes(finding: Finding, findings: list[Finding]) -> float:
 
 
 def _worst_possible_cause(finding: Finding, findings: list[Finding]) -> FaultCause | None:
-    """The worst of the possible causes of a finding."""
     causes = _possible_causes(finding, findings)
     return max(causes, key=lambda source: source.excess).cause if causes else finding.behind
 

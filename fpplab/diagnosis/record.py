@@ -75,7 +75,6 @@ class DiagnosisFile(Origin):
     """Limits of an expert that are not the usual ones, by section and name."""
 
     def diagnosis(self) -> Diagnosis:
-        """Convert to a diagnosis."""
         findings = tuple(
             Finding(cause_named(finding.cause), finding.evidence, finding.excess, finding.remedy)
             for finding in self.findings
@@ -85,7 +84,6 @@ class DiagnosisFile(Origin):
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
-    """Write the verdict into a session."""
     findings = tuple(
         FindingFile(
             cause=finding.cause.key,
@@ -107,7 +105,6 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
 
 
 def load_diagnosis(folder: Path) -> DiagnosisFile | None:
-    """Read the verdict of a session."""
     path = folder / VERDICT
     return config.load_document(path, DiagnosisFile) if path.is_file() else None
 

@@ -117,7 +117,6 @@ class FrameSample:
 
     @cached_property
     def tile_fits(self) -> list[SetFit]:
-        """Each fringe set in the tiles."""
         return self._fitted(self.tiles)
 
     @cached_property

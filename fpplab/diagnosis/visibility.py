@@ -47,11 +47,6 @@ class Visibility:
     tiny_part_share: float | None  # share of the image with clear fringes where all else is dark or weak
     limits: VisibilityLimits
 
-    @property
-    def is_clear(self) -> bool:
-        """Whether fringes are seen in general."""
-        return not self.is_dark and not self.is_weak
-
 
 def visibility(sample: FrameSample) -> Visibility:
     """Measure how clearly frames show fringes."""

@@ -90,7 +90,6 @@ class StageCalibrations:
         self._check_travel()
 
     def at(self, stage_mm: float | None = None, convergence_deg: float | None = None) -> Calibration:
-        """Compute the calibration for a stage position and a rotation of the projector."""
         where = stage_mm, convergence_deg or 0.0
         if where not in self._made:
             calibration = self._at_stage(stage_mm)
@@ -105,7 +104,6 @@ class StageCalibrations:
         return all(calibration.uncertainty is None for calibration in self._calibrations)
 
     def sample(self, random: np.random.Generator) -> StageCalibrations:
-        """Draw calibrations, each from its own covariance."""
         others = [sample_calibration(calibration, random) for calibration in self._calibrations]
         return StageCalibrations(dict(zip(self._positions or (None,), others, strict=True)))
 
@@ -148,7 +146,6 @@ def turn_projector(calibration: Calibration, convergence_deg: float) -> Calibrat
 
 
 def sample_calibration(calibration: Calibration, random: np.random.Generator) -> Calibration:
-    """Draw a calibration from the covariance of a measured one."""
     covariance = calibration.uncertainty
     if covariance is None:
         return calibration
@@ -203,7 +200,6 @@ def characterise_positions(
     folder: Path,
     progress: Progress = no_progress,
 ) -> dict[float | None, Path]:
-    """Characterise an open rig with its stage at several positions."""
     # Sessions and calibrations are kept in `folder`; positions whose calibration is there already are
     # skipped.
     files: dict[float | None, Path] = {}

@@ -37,7 +37,6 @@ class Candidate:
         return sum(fringes.steps for fringes in self.fringes)
 
     def plan(self, template: Plan) -> Plan:
-        """Make the plan that projects this candidate."""
         sets = tuple(Sinusoid(**asdict(fringes)) for fringes in self.fringes)
         changed = {"fringes": sets, "exposure_s": self.exposure_s, "stage_mm": self.stage_mm}
         return template.model_copy(update=changed)

@@ -65,7 +65,6 @@ class CandidateRunner:
 
     @cached_property
     def ranking(self) -> CandidateRanking:
-        """How candidates of this study are compared."""
         return CandidateRanking(self.space.problem, self.start)
 
     @property
@@ -130,7 +129,6 @@ class CandidateRunner:
         return [self._by_candidate[trial.candidate] for trial in asked]
 
     def _outcomes(self, tasks: Sequence[Task]) -> list[ScoresOrReason]:
-        """Of every task, from the journal where it is there."""
         missing = [task for task in dict.fromkeys(tasks) if self._journal.get(*task) is None]
         self._workers.measure(missing, lambda place, outcome: self._journal.add(*missing[place], outcome))
         return [outcome for task in tasks if (outcome := self._journal.get(*task)) is not None]

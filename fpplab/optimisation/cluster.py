@@ -90,7 +90,6 @@ class Meeting:
 
     @property
     def address(self) -> str:
-        """As dask writes it."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.protocol}://{host}:{self.port}"
 

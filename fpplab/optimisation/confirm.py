@@ -79,7 +79,6 @@ class Confirmation:
 
     @property
     def uncertainty(self) -> float:
-        """Combined standard uncertainty of the gain."""
         return float(np.sqrt(self.by_repeat**2 + self.by_sample**2 + self.by_calibration**2))
 
     def summary(self) -> dict[str, Any]:
@@ -101,7 +100,6 @@ def _smcd(by_artefact: RepeatedFigures) -> Floats:
 
 
 def _described(by_artefact: RepeatedFigures) -> dict[str, Any]:
-    """Means over the repeats, of each artefact and of all."""
     return {
         "surface_smcd_um": float(_smcd(by_artefact).mean()),
         "artefacts": {

@@ -26,7 +26,6 @@ class ConfirmedPlan:
     confirmation: Confirmation  # figures of both plans, and the gain
 
     def summary(self) -> dict[str, Any]:
-        """Collect the gain and the figures."""
         return {
             "rig": self.rig,
             "plan": str(self.plan),

@@ -32,7 +32,6 @@ class CandidateFigures:
 
     @classmethod
     def of(cls, scores: Sequence[Score]) -> CandidateFigures:
-        """Average the scores of a candidate."""
 
         def mean(name: str) -> float:
             return float(np.mean([getattr(score, name) for score in scores]))
@@ -84,11 +83,9 @@ class MeasuredCandidate:
 
     @property
     def measured(self) -> bool:
-        """Whether there are figures."""
         return self.refused is None and self.failed is None
 
     def summary(self) -> dict[str, Any]:
-        """Describe the candidate and its figures."""
         described = asdict(self.candidate)
         described["fringes"] = list(described["fringes"])
         figures = asdict(self.figures) if self.measured else {"failed": self.refused or self.failed}

@@ -65,7 +65,6 @@ class FringeSetCache:
         """Images taken since the beginning."""
 
     def frames(self, setup: MeasuringSetup, fringes: Sequence[Fringes], seed: int) -> list[Image]:
-        """Return the images of fringe sets, acquiring those that are missing."""
         # returns (height, width)
         keys = [self._key(setup, fringe_set, place, seed) for place, fringe_set in enumerate(fringes)]
         missing = [i for i, key in enumerate(keys) if self._cached_frames(key, fringes[i].steps) is None]

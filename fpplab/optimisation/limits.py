@@ -62,7 +62,6 @@ class RigLimits:
         return axis_length(self.size, axis) / pixels_per_period
 
     def refusals(self, candidate: Candidate, pixels_per_period: float = 2.0) -> Iterator[str]:
-        """List the limits that a candidate exceeds."""
         for i, fringe in enumerate(candidate.fringes):
             max_stripes = self.max_stripes(fringe.axis, pixels_per_period)
             if fringe.stripes > max_stripes:
@@ -100,6 +99,5 @@ class RigLimits:
                 )
 
     def check(self, candidate: Candidate, source: str) -> None:
-        """Refuse a candidate that exceeds a limit."""
         for reason in self.refusals(candidate):
             raise ConfigError(f"{source}: {reason} (rig '{self.name}')")

@@ -38,7 +38,6 @@ from fpplab.sessions.origin import SessionOrigin
 
 
 def candidate_from_plan(plan: Plan) -> Candidate:
-    """Describe a plan as a candidate."""
     sets = tuple(Fringes(fringes.axis, fringes.stripes, fringes.images) for fringes in plan.fringes)
     return Candidate(sets, plan.exposure_s, plan.stage_mm)
 
@@ -57,7 +56,6 @@ class RigEvaluator:
         self._placed: dict[str, trimesh.Trimesh] = {}
 
     def described(self) -> tuple[dict[str, Any], SessionOrigin]:
-        """Describe the rig, as sessions do."""
         return self._rig.described(), SessionOrigin.of(self._rig)
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
@@ -111,7 +109,6 @@ class RigEvaluator:
 
     @cached_property
     def calibrations(self) -> StageCalibrations:
-        """Calibrations that the study names."""
         files = self._problem.calibrations
         if not files:
             raise CalibrationError(

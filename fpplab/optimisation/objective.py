@@ -100,7 +100,6 @@ class Objective(ABC):
 
     @property
     def label(self) -> str:
-        """Name for people with the unit."""
         return f"{self.title}, {self.unit}" if self.unit else self.title
 
     def text(self, candidate: MeasuredCandidate) -> str:

@@ -77,7 +77,6 @@ class SpaceFile(Document):
         return self
 
     def bounds(self) -> list[tuple[str, tuple[float, float]]]:
-        """List every range that is given."""
         # returns (float, float)
         named: list[tuple[str, tuple[float, float] | None]] = [("sets", self.sets)]
         named += [(f"steps[{i}]", bounds) for i, bounds in enumerate(self.steps)]
@@ -176,7 +175,6 @@ class SearchProblem(Document):
         return self
 
     def check_rig(self, name: str, source: Path | str) -> None:
-        """Refuse to be used on a rig that the study is not for."""
         if self.rig not in (ANY_RIG, name):
             raise ConfigError(
                 f"{source}: 'rig' is '{self.rig}', but the rig given is '{name}'; name that one, or `any`"

@@ -34,7 +34,6 @@ class CandidateRanking:
 
     @cached_property
     def _limited(self) -> tuple[tuple[Objective, float], ...]:
-        """Every objective that the problem limits, asked for or not, with its limit."""
         limits = [
             (objective, getattr(self.problem.constraints, objective.limit.key))
             for objective in registered_objectives().values()
@@ -68,7 +67,6 @@ class CandidateRanking:
         )
 
     def objective_values(self, trial: MeasuredCandidate) -> dict[str, float]:
-        """Collect the objectives of a measured candidate, by key and as they are."""
         return {objective.key: objective.value(trial) for objective in self.objectives}
 
     def rank(self, candidate: MeasuredCandidate) -> Rank:
@@ -82,7 +80,6 @@ class CandidateRanking:
         return violation, (distance,), distance
 
     def is_acceptable(self, trial: MeasuredCandidate) -> bool:
-        """Check whether a candidate keeps every limit."""
         return self.violation(trial) == 0.0
 
     def front(self, trials: Sequence[MeasuredCandidate]) -> list[MeasuredCandidate]:

@@ -48,7 +48,6 @@ class SearchResult:
 
     @property
     def ranking(self) -> CandidateRanking:
-        """How candidates of this study are compared."""
         return CandidateRanking(self.study, self.start)
 
     @property

@@ -129,19 +129,16 @@ def _absolute(rig: str) -> str:
 
 
 def work_folder(out: Path) -> Path:
-    """Name the folder for what belongs to a search."""
     return out.with_suffix("")
 
 
 def journal_paths(scope: SearchScope, out: Path) -> tuple[Path, Path]:
-    """Name the journals of a search."""
     if scope is SearchScope.PARETO:
         return out / JOURNAL, out / f"predicted_{JOURNAL}"
     return out.with_suffix(".jsonl"), out.with_suffix(".predicted.jsonl")
 
 
 def report_path(scope: SearchScope, out: Path) -> Path:
-    """Name the report of a search."""
     return out / REPORT if scope is SearchScope.PARETO else out.with_suffix(".html")
 
 

@@ -43,9 +43,7 @@ class Workers(Protocol):
         """Measure all tasks; each calls `on_outcome` in this process when done, in any order."""
         ...
 
-    def close(self) -> None:
-        """Close rigs and end processes."""
-        ...
+    def close(self) -> None: ...
 
 
 def measure_outcome(evaluator: Evaluator, candidate: Candidate, seed: int) -> ScoresOrReason:
@@ -75,7 +73,6 @@ class InProcessWorkers:
             on_outcome(place, measure_outcome(self._evaluator, candidate, seed))
 
     def close(self) -> None:
-        """Close the rig."""
         if self._evaluator is not None:
             self._evaluator.close()
 

@@ -19,7 +19,6 @@ class SearchScope(StrEnum):
 
     @property
     def groups(self) -> tuple[ParameterGroup, ...]:
-        """Groups of parameters that a study of this scope may search."""
         return _GROUPS[self]
 
 

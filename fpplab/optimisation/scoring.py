@@ -122,7 +122,6 @@ class TrueShape:
 
     @property
     def surface_points(self) -> int:
-        """Number of points of the true surface that are compared."""
         return len(self._sampled)
 
     @cached_property
@@ -187,7 +186,6 @@ class TrueShape:
         )
 
     def _align(self, points: Floats) -> RigidTransform:
-        """Find the transformation that brings the points onto the shape."""
         few = points[:: max(1, len(points) // LIMITS.alignment_points)]
         return refine_pose(few, self._target, RigidTransform.identity(), ALIGNMENT.fine_rounds)[0]
 

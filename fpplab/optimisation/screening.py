@@ -81,7 +81,6 @@ class SampledEvaluator:
         self._patterns: OrderedDict[Fringes, tuple[Pattern, ...]] = OrderedDict()
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
-        """Predict the scores of every artefact of the study."""
         dead = RigLimits.of(self._rig).dead_time_s + self._problem.start.settle_s
         seconds = candidate.images * (candidate.exposure_s + dead)
         scores = []
@@ -95,7 +94,6 @@ class SampledEvaluator:
         return tuple(scores)
 
     def close(self) -> None:
-        """Close the rig."""
         self._stack.close()
 
     @cached_property

@@ -36,7 +36,6 @@ class Parameter:
     grid_step: float | None = None  # distance between allowed values
 
     def fraction(self, value: float) -> float:
-        """Compute where in its range a value lies."""
         if self.upper == self.lower:
             return 0.0
         if self.is_logarithmic:
@@ -44,7 +43,6 @@ class Parameter:
         return (value - self.lower) / (self.upper - self.lower)
 
     def value_at(self, fraction: float) -> float:
-        """Compute the value at a fraction of the range."""
         if self.is_logarithmic:
             value = self.lower * (self.upper / self.lower) ** fraction
         else:
@@ -61,7 +59,6 @@ class Parameter:
         return min(max(tidy, self.lower), self.upper)  # rounding alone must not leave the range
 
     def contains(self, value: float) -> bool:
-        """Check whether a value lies in the range."""
         return self.lower <= value <= self.upper
 
 
@@ -77,7 +74,6 @@ class SearchSpace:
 
     @classmethod
     def of(cls, problem: SearchProblem, limits: RigLimits, source: str) -> SearchSpace:
-        """Make the space of a study on a rig."""
         template = _template_candidate(problem, source)
         parameters = tuple(p for p in _parameters(problem) if p.lower < p.upper)
         if not parameters:
@@ -88,7 +84,6 @@ class SearchSpace:
         return space
 
     def candidate(self, point: Point) -> Candidate:
-        """Make the candidate that a point stands for."""
         values = {p.name: v for p, v in zip(self.parameters, point, strict=True)}
         template = self.template
         fringes = [
@@ -111,7 +106,6 @@ class SearchSpace:
         )
 
     def refusal(self, candidate: Candidate) -> str | None:
-        """Tell why a candidate cannot be measured."""
         return next(self._refusals(candidate), None)
 
     def _refusals(self, candidate: Candidate) -> Iterator[str]:
@@ -125,7 +119,6 @@ class SearchSpace:
         yield from self.limits.refusals(candidate, constraints.pixels_per_period)
 
     def of_group(self, *groups: ParameterGroup) -> tuple[int, ...]:
-        """Find the parameters of some groups."""
         return tuple(i for i, p in enumerate(self.parameters) if p.group in groups)
 
 

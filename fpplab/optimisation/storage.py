@@ -46,7 +46,6 @@ class Journal:
         return len(self._outcomes)
 
     def get(self, candidate: Candidate, seed: int) -> ScoresOrReason | None:
-        """Look up a measurement."""
         return self._outcomes.get((candidate, seed))
 
     def add(self, candidate: Candidate, seed: int, outcome: ScoresOrReason) -> None:

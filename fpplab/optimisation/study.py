@@ -45,7 +45,6 @@ class Study(SearchProblem):
 
     @classmethod
     def load(cls, path: Path | str) -> Study:
-        """Read a study file."""
         file = config.find_config(path, "study")
         with naming_other_kinds(file, "study"):
             data = config.parse_yaml(config.read_text(file), file)
@@ -55,7 +54,6 @@ class Study(SearchProblem):
 
 
 def _method_kinds(several_objectives: bool) -> str:
-    """List the search methods for one objective, or for several, in words."""
     kinds = [
         kind
         for kind, method in registered_types(SearchMethod).items()

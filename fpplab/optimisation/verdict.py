@@ -50,7 +50,6 @@ RUINOUS = {NO_GAIN: 1.0 + 1e-9, NOT_CONFIRMED: 1.0 + 1e-9}
 
 
 def diagnose_search(result: SearchResult, confirmed: Sequence[ConfirmedPlan] = ()) -> Diagnosis:
-    """Judge the result of a search."""
     # It is useless where the plan found is worse than the start's beyond the uncertainty, with seeds that the
     # search did not use or where it was confirmed.
     findings = [

@@ -1,6 +1,6 @@
 """Phase decoding: frames -> wrapped phase -> projector coordinates, with masks and uncertainty.
 
-`decode` is compiled; `fpplab.phase.reference` computes the same in plain NumPy, and a test compares the two.
+`decode` is compiled; a test compares it with the same in plain NumPy.
 """
 
 from fpplab.phase.decoded import Decoded

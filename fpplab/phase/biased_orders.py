@@ -135,7 +135,6 @@ def _surface_goes_on(gaps: Floats, changes: Floats) -> bool:
 
 
 def _has_most(groups: FlatIndices, orders: FlatIndices, areas: FlatIndices) -> Mask:
-    """Whether the order of each part is that of most pixels of its group."""
     # groups, orders, areas (P,); returns (P,)
     _, same = np.unique(groups << 32 | orders & 0xFFFFFFFF, return_inverse=True)
     return np.asarray(

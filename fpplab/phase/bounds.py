@@ -24,7 +24,6 @@ class PossibleCoordinates:
     upper: Map  # ends of the interval, within the projector
 
     def positions(self, length: int) -> tuple[Map, Map]:
-        """Convert the ends of the intervals."""
         # returns (height, width)
         half, px = np.float32(0.5), np.float32(length)
         return (self.lower + half) / px, (self.upper + half) / px
@@ -33,7 +32,6 @@ class PossibleCoordinates:
 def widest_interval_share(
     bounds: Mapping[Axis, PossibleCoordinates] | None, axis: Axis, projector_size: tuple[int, int]
 ) -> float | None:
-    """Find the greatest width of the intervals along one axis."""
     # projector_size (width, height) px
     if bounds is None or axis not in bounds:
         return None
@@ -47,7 +45,6 @@ def interval_of(
     length: int,
     pixels: NDArray[np.int64] | None = None,
 ) -> PositionInterval:
-    """Give the intervals along one axis as positions."""
     # pixels (P,)
     if bounds is None or axis not in bounds:
         return 0.0, 1.0

@@ -147,7 +147,6 @@ class HarmonicsFit:
 def groups_of(
     samples: Sequence[Floats], fringes: Sequence[FringeSet], modulation_min: float = 0.0
 ) -> list[FringeGroup]:
-    """FringeGroup fringe sets by what shows their errors."""
     # samples (N, P)
     fitted = [fit_sinusoids(*fringe_set) for fringe_set in zip(samples, fringes, strict=True)]
     long = [k for k, fringe in enumerate(fringes) if fringe.images > 3]
@@ -178,7 +177,6 @@ def show_common_errors(fringes: Sequence[FringeSet]) -> bool:
 
 
 def fit_sinusoids(sample: Floats, fringe: FringeSet) -> Floats:
-    """Fit the sinusoid of a fringe set at each pixel by least squares."""
     # sample (N, P); returns (3, P)
     return _product(np.linalg.pinv(_waves(fringe.phase_shifts(), 1)), sample)
 
@@ -192,7 +190,6 @@ def fringe_levels(fitted: Floats, shift: Floats) -> tuple[Floats, Floats]:
 
 
 def set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) -> FringeGroup:
-    """Put the images of one set into a group."""
     shift, (offset, c, s) = fringe.phase_shifts(), fitted
     wave = c + 1j * s
     phasor = wave / np.maximum(np.abs(wave), 1e-12)

@@ -111,7 +111,6 @@ class AxisPhases:
 
 
 def axis_phases(recording: Recording, sequence: WavelengthSequence, errors: ErrorModel) -> AxisPhases:
-    """Demodulate all sets of one axis."""
     fringes = [recording.plan.fringes[k] for k in sequence.sets]
     sets = [
         wrapped_phase(recording.of_set(k), f, errors.saturation)

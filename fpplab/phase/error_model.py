@@ -77,9 +77,8 @@ def misfit_limits(errors: CommonErrors) -> tuple[float, float, float]:
 
 
 def error_model_of(recording: Recording) -> ErrorModel:
-    """Estimate the errors of a recording."""
     plan = recording.plan
-    errors, fits = _fit_errors(
+    errors, fits = fit_errors(
         _sample_pixels(recording),
         plan.fringes,
         recording.bits,
@@ -115,26 +114,14 @@ def fit_errors(
     modulation_min: float = 0.0,
     harmonics: Floats | None = None,
     sequences: Sequence[WavelengthSequence] = (),
-) -> ErrorModel:
+) -> tuple[ErrorModel, dict[int, HarmonicsFit]]:
     """Estimate noise by photon transfer, beyond harmonics and flicker; robust against scene and motion.
 
     Where a set has more than three steps, noise is what the sinusoid leaves. Where all have three, it is the
     difference between the sets' offsets. One set of three steps does not reveal the noise: the model is then
-    the rounding alone, a lower bound.
+    the rounding alone, a lower bound. Beside the model, the fits of sets that are fitted by themselves.
     """
     # samples (N, P); harmonics (K,)
-    return _fit_errors(samples, fringes, bits, modulation_min, harmonics, sequences)[0]
-
-
-def _fit_errors(
-    samples: Sequence[Image],
-    fringes: Sequence[FringeSet],
-    bits: int,
-    modulation_min: float,
-    harmonics: Floats | None,
-    sequences: Sequence[WavelengthSequence],
-) -> tuple[ErrorModel, dict[int, HarmonicsFit]]:
-    """The model, and the fits of sets that are fitted by themselves, by their indices."""
     step, grey = level_step(np.concatenate([sample.ravel() for sample in samples])), 1.0 / raw_per_grey(bits)
     saturation = math.floor(full_scale(bits) - step) + 1
     usable = np.flatnonzero(_find_usable_pixels(samples, saturation))

@@ -164,7 +164,6 @@ def fuse_axis(
     common: Any,
     chi2: Any,
 ) -> int:
-    """Give the coordinate from all sets of one axis."""
     # turns (S, n); weights, shares (S, n); coordinate, sigma, common (n,) px; chi2 (n,)
     finest, count = recipe.finest[axis], 0
     _start_fusion(

@@ -35,7 +35,6 @@ def lag_share(samples: Sequence[Floats], fringes: Sequence[FringeSet], modulatio
 def _share_in_first(
     before: Floats, sample: Floats, fringe: FringeSet, modulation_min: float
 ) -> tuple[float, float]:
-    """The share in the first frame of a set, and its variance."""
     offset, c, s = fit_sinusoids(sample, fringe)
     wave, shift = c + 1j * s, fringe.phase_shifts()
     own = beyond_fringe(shift)[0]

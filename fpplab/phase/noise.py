@@ -55,7 +55,6 @@ class NoiseModel:
     step: float = 1.0  # smallest difference of two levels of the frames, in grey levels
 
     def variance(self, level: Floats | float) -> Floats:
-        """Compute the variance at the given levels."""
         return np.asarray(self.constant + self.per_level * np.asarray(level))
 
     @property

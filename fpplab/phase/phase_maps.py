@@ -146,7 +146,6 @@ def _sigma(values: Floats, axis: Axis, stated_px: float | None, notes: list[str]
 
 
 def _load_map(path: Path) -> NDArray[Any]:
-    """Read the one map of a file."""
     readers: Mapping[bytes, Callable[[Path], Mapping[str, NDArray[Any]]]] = {
         b"\x93NUM": _read_npy,
         b"PK\x03\x04": lambda path: load_arrays(path, None),

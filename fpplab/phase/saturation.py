@@ -17,7 +17,6 @@ from fpplab.phase.limits import NOISE
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def fit_unsaturated(levels: Any, cosine: Any, sine: Any, full: Any, shares: Any, fitted: Any) -> bool:
-    """Fit a sinusoid to the unsaturated samples of one pixel."""
     # levels (N,); cosine, sine (N,); shares (K,); fitted (6,) rad
     count = total = 0
     c = s = cc = ss = cs = y = yc = ys = 0.0

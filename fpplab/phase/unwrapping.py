@@ -39,7 +39,6 @@ class WavelengthSequence:
 def wavelength_sequence(
     plan: Plan, axis: Axis, source: str, interval_share: float | None = None
 ) -> WavelengthSequence:
-    """Give the synthetic wavelengths of one coded axis."""
     sets, method = plan.sets_along(axis), unwrapping_methods()[plan.unwrapping]
     units = [
         SyntheticWavelength(tuple(int(i == k) for i in range(len(sets))), plan.fringes[index].stripes)

@@ -136,7 +136,6 @@ def _compare_shifts(
 def _shift_order(
     axis: int, recipe: Any, unwrapping: Any, offsets: Any, pixel: int, sign: float, shift_index: int
 ) -> None:
-    """Change the order of one pixel by a shift."""
     unwrapping[_u(pixel)] += sign * recipe.shifts[shift_index]
     for s in range(len(recipe.axis)):
         if recipe.axis[s] == axis and s != recipe.finest[axis]:

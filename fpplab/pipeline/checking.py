@@ -30,7 +30,6 @@ def require_in_step(recording: Recording) -> None:
 
 
 def plan_fault(recording: Recording) -> str | None:
-    """Say what is wrong with the plan of a recording, by its images."""
     misfit = check_plan_fit(recording)
     return misfit.fault if misfit else None
 

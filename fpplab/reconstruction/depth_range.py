@@ -53,7 +53,6 @@ def _nodes(pixels: int) -> NDArray[np.intp]:
 
 
 def _interpolation(nodes: NDArray[np.intp], pixels: int) -> Floats:
-    """Weights of the nodes at every pixel, (pixels, nodes), for linear interpolation."""
     at = np.arange(pixels)
     return np.stack([np.interp(at, nodes, weights) for weights in np.eye(len(nodes))], axis=1)
 

@@ -103,7 +103,6 @@ def apply_filter(
 
 
 def count_removed(decoded: Decoded) -> dict[str, int | float] | None:
-    """Count the points that the filter removed."""
     if decoded.removed is None:
         return None
     counts = {rule.name.lower(): int(np.count_nonzero(decoded.removed == rule)) for rule in Rule}

@@ -32,7 +32,6 @@ class RayGrid:
 
     @classmethod
     def around(cls, points: AnyPoints) -> RayGrid | None:
-        """Place a grid around nearly all points."""
         # points (N, 3)
         if len(points) <= np.prod(NODES):
             return None
@@ -116,7 +115,6 @@ def _bilinear(flat: Singles, at: int, per_y: int, per_z: int, y: float, z: float
 
 @njit(parallel=True, cache=True)
 def are_positive(values: Singles) -> bool:
-    """Return whether all values are positive."""
     # values (K, N)
     others = 0
     for n in prange(values.shape[1]):

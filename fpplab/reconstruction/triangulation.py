@@ -234,7 +234,6 @@ def _invert(camera: Numbers, reach: float, slopes: Floats) -> None:
 
 @njit(cache=True)
 def any_known(values: Map) -> bool:
-    """Return whether a map has any value."""
     # values (height, width)
     if (
         values.strides[0] == 0 and values.strides[1] == 0

@@ -57,7 +57,6 @@ class _Drawn:
 
 
 def write_acceptance_report(path: Path, result: AcceptanceResult) -> None:
-    """Write the acceptance test as one HTML file."""
     acceptance = result.acceptance
     rule = acceptance.standard.evaluation
     facts = {

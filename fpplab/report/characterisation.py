@@ -12,7 +12,6 @@ from fpplab.results.characterisation import CharacterisationResult, JudgementRes
 
 
 def write_characterisation_report(path: Path, result: CharacterisationResult) -> None:
-    """Write a characterisation as one HTML file."""
     verdicts = (PageVerdict.of(result.diagnosis),)
     write_report(
         path,
@@ -25,7 +24,6 @@ def write_characterisation_report(path: Path, result: CharacterisationResult) ->
 
 
 def write_judgement_report(path: Path, name: str, result: JudgementResult) -> None:
-    """Write the judgement of a calibration as one HTML file."""
     verdicts = (judgement_verdict(result.judgement),)
     basis = PageBasis(verdicts, {"poses": result.provenance}, result.figures())
     write_report(path, f"Judgement of {name}", judgement=result.judgement, verdicts_and_sources=basis)

@@ -20,7 +20,6 @@ from fpplab.setup.rig_check.check import RigCheck
 
 
 def write_check_report(path: Path, result: CheckResult) -> None:
-    """Write what a check found as one HTML file."""
     check = result.check
     basis = PageBasis((check_verdict(check),), {"rig": result.provenance}, check.summary())
     write_page(path, "Check of a rig", [], _sections(check, evidence_of(result)), verdicts_and_sources=basis)
@@ -54,7 +53,6 @@ def _make_folder(path: Path) -> None:
 
 
 def check_verdict(check: RigCheck) -> PageVerdict:
-    """Say whether a rig is fit to measure with."""
     if not check.findings:
         sentence = "Nothing is wrong with what was checked."
         return PageVerdict("", "good", "In order", sentence, unknown=check.unknown)

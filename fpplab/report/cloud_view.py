@@ -53,7 +53,6 @@ class CloudQuantity:
     def of(
         cls, name: str, unit: str, values: NDArray[Any], colours: str, symmetric: bool = False
     ) -> CloudQuantity:
-        """Choose the range of colours from the values."""
         # values (N,)
         finite = values[np.isfinite(values)]
         if symmetric:
@@ -64,7 +63,6 @@ class CloudQuantity:
 
     @property
     def label(self) -> str:
-        """Name and unit."""
         return f"{self.name} in {self.unit}"
 
     def quantised(self) -> NDArray[np.uint16]:
@@ -89,7 +87,6 @@ class CloudView:
 def cloud_view(
     name: str, cloud: Cloud, comparison: Comparison | None = None, max_points: int = MAX_POINTS
 ) -> CloudView:
-    """Prepare a cloud for a page."""
     errors = None if comparison is None else np.where(comparison.counted, comparison.distances_mm, np.nan)
     kept = decimate(cloud, max_points)
     shown = cloud.only(kept)

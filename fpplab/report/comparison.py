@@ -24,7 +24,6 @@ from fpplab.results.comparison import ComparisonResult
 
 
 def write_comparison_report(path: Path, result: ComparisonResult) -> None:
-    """Write a comparison as one HTML file."""
     name, cloud, comparison = result.name, result.cloud, result.comparison
     verdicts = [comparison_verdict(result)]
     if result.diagnosis is not None:

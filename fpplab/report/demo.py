@@ -9,7 +9,6 @@ from fpplab.results.demo import DemoResult
 
 
 def write_demo_report(result: DemoResult) -> None:
-    """Write the demonstration as one HTML file."""
     write_report(
         result.report_file,
         "Demonstration on the virtual bench",

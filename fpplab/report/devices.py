@@ -46,7 +46,6 @@ JUDGED_CAPTION = (
 
 
 def summary_table(characterisation: Characterisation) -> ReportTable:
-    """Make the table at the top of the page."""
     return ReportTable(
         CHARACTERISED, tuple(_device_row(characterisation, d) for d in ("camera", "projector")), REPROJECTION
     )

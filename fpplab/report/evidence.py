@@ -11,7 +11,6 @@ from fpplab.report.parts import ReportFigure
 
 
 def evidence_pictures(findings: Sequence[Finding], evidence: Evidence) -> list[tuple[Finding, bytes]]:
-    """Draw what shows each finding."""
     pictures = [(finding, _draw_finding(finding, evidence)) for finding in findings]
     return [(finding, picture) for finding, picture in pictures if picture is not None]
 
@@ -26,7 +25,6 @@ def _draw_finding(finding: Finding, evidence: Evidence) -> bytes | None:
 
 
 def evidence_report(findings: Sequence[Finding], evidence: Evidence) -> tuple[ReportFigure, ...]:
-    """Draw what shows each finding, as figures of a page."""
     return tuple(
         ReportFigure.of(
             picture, f"What shows {_name(finding)}", f"{_name(finding).capitalize()}: {finding.evidence}."

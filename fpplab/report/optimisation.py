@@ -45,7 +45,6 @@ CONFIRMED = (
 
 
 def write_optimisation_report(path: Path, result: OptimisationResult) -> None:
-    """Write a search as one HTML file."""
     search, compared = result.search, result.compared
     sections = [_confirmed_section(result.confirmed)] if result.confirmed else []
     sections.append(_convergence_section(search))
@@ -109,7 +108,6 @@ def _summary(search: SearchResult) -> list[ReportTable]:
 
 
 def _objectives_in_order(search: SearchResult) -> list[Objective]:
-    """List all objectives, those of the study first."""
     chosen = {objective.key: objective for objective in search.ranking.objectives}
     return list((chosen | registered_objectives()).values())
 

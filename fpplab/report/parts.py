@@ -37,7 +37,6 @@ class PageVerdict:
 
 
 def listed(findings: Sequence[Finding]) -> tuple[tuple[str, str, str], ...]:
-    """Put findings into words."""
     return tuple(
         (finding.cause.key.replace("_", " "), finding.evidence, finding.remedy) for finding in findings
     )
@@ -54,7 +53,6 @@ class ReportFigure:
 
     @classmethod
     def of(cls, png: bytes, alt: str, caption: str, wide: bool = False) -> ReportFigure:
-        """Make a figure from a PNG file."""
         return cls(base64.b64encode(png).decode("ascii"), alt, caption, wide)
 
 

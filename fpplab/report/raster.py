@@ -54,7 +54,6 @@ def raster_of(cloud: CloudLike) -> Raster:
 
 
 def rasterise(grid: Raster, values: NDArray[np.float32]) -> tuple[Map, Extent]:
-    """Make a map of values of points."""
     # The map is cropped to the points with a margin, a few outliers left aside, so that a small object fills
     # it.
     # values (N, C); returns (h, w, C)
@@ -68,7 +67,6 @@ def rasterise(grid: Raster, values: NDArray[np.float32]) -> tuple[Map, Extent]:
 
 
 def block_mean(values: Map, columns: int) -> Map:
-    """Average a map over square blocks."""
     # values (h, w)
     step = max(1, min(round(values.shape[1] / columns), values.shape[0]))
     if step == 1:

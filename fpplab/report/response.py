@@ -19,7 +19,6 @@ JUDGEMENT_CAPTION = (
 
 
 def write_response_report(path: Path, result: ResponseResult) -> None:
-    """Write a response as one HTML file."""
     judgement = result.judgement
     verdict = PageVerdict(
         name="",
@@ -39,7 +38,6 @@ def write_response_report(path: Path, result: ResponseResult) -> None:
 
 
 def response_section(response: Response, levels: Floats) -> ReportSection:
-    """Show a fitted response."""
     # levels (K, 2)
     values = zip((response.a, response.b, response.g), response.sigma, strict=True)
     row = (str(response.levels), *(f"{v:.4f} ± {s:.4f}" for v, s in values), f"{255 * response.residual:.2f}")

@@ -22,9 +22,7 @@ class ResponseLike(Protocol):
     """A response `out = a S(in) + b`, both in [0, 1]."""
 
     @property
-    def a(self) -> float:
-        """Factor."""
-        ...
+    def a(self) -> float: ...
 
     @property
     def b(self) -> float:
@@ -32,9 +30,7 @@ class ResponseLike(Protocol):
         ...
 
     @property
-    def g(self) -> float:
-        """Exponent."""
-        ...
+    def g(self) -> float: ...
 
     @property
     def spline(self) -> tuple[float, ...] | None:

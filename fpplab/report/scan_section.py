@@ -108,7 +108,6 @@ def _compared_row(scan: ScanSection, cloud: Cloud, comparison: Comparison) -> tu
 
 
 def section_of(scan: ScanSection, points: int = MAX_POINTS) -> ReportSection:
-    """Show a scan."""
     name, comparison = scan.name, scan.comparison
     views = () if scan.cloud is None else (cloud_view(name, scan.cloud, comparison, points),)
     tables = () if comparison is None else lengths_tables(comparison)
@@ -117,7 +116,6 @@ def section_of(scan: ScanSection, points: int = MAX_POINTS) -> ReportSection:
 
 
 def _describe_scan(scan: ScanSection) -> str:
-    """What the figures do not show."""
     text, decoded = f"{scan.images} images", scan.decoded
     if decoded is None:
         return f"{text}; no pixel has a projector coordinate."
@@ -169,7 +167,6 @@ def _pictures_of_scan(scan: ScanSection) -> Iterator[ReportFigure]:
 
 
 def frame_figure(scan: ScanSection) -> ReportFigure:
-    """Draw a frame of a scan."""
     drawn = figures.camera_image(scan.frame, scan.bits)
     alt = f"Camera image of the {scan.name} under the finest fringes"
     return ReportFigure.of(drawn, alt, "One frame of the finest fringe set.")
@@ -203,7 +200,6 @@ def sigma_figures(name: str, cloud: Cloud, plan: Plan | None = None) -> list[Rep
 
 
 def error_figure(name: str, cloud: Cloud, comparison: Comparison) -> ReportFigure:
-    """Draw the signed errors of a cloud."""
     alt = (
         f"Signed error of the {name}, with its distribution; RMS {number_text(comparison.surface_rms_um)} µm"
     )

@@ -19,5 +19,4 @@ def count_text(value: int) -> str:
 
 
 def percent_text(share: float) -> str:
-    """Write a share in per cent."""
     return f"{100 * share:.3g}\u202f%"

@@ -24,7 +24,6 @@ class CharacterisationResult:
     report_file: Path
 
     def figures(self) -> dict[str, Any]:
-        """Collect verdict and figures."""
         guided = {"guided": self.guided.summary()} if self.guided else {}
         return {
             **self.diagnosis.summary(),
@@ -51,7 +50,6 @@ class JudgementResult:
     report_file: Path | None
 
     def figures(self) -> dict[str, Any]:
-        """Collect the figures."""
         return {**self.judgement.summary(), "left_out": self.judgement.left_out}
 
     def summary(self) -> dict[str, Any]:

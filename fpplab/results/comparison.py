@@ -26,7 +26,6 @@ class ComparisonResult:
 
     @property
     def headline(self) -> str:
-        """What matters, in one line."""
         comparison = self.comparison
         mean_um, kind = comparison.surface_smcd_um, "surface SMCD"
         if mean_um is None:
@@ -38,7 +37,6 @@ class ComparisonResult:
         )
 
     def figures(self) -> dict[str, Any]:
-        """Collect the figures, with what contradicts them."""
         figures = self.comparison.summary()
         if self.misplaced:
             figures["warnings"] = [self.misplaced, *self.comparison.warnings()]

@@ -27,7 +27,6 @@ class DecodingResult:
         return bool(self.decoded.valid.any()) and (self.as_recorded or not self.diagnosis.is_useless)
 
     def require_usable(self) -> None:
-        """Refuse maps that are not left."""
         if not self.is_written:
             self.diagnosis.require_usable(self.name, self._figures())
 

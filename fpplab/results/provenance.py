@@ -61,17 +61,14 @@ class Provenance:
     values: Mapping[str, str | None]  # by key of `LABELS`; None where it is not recorded
 
     def rows(self) -> tuple[tuple[str, str], ...]:
-        """List what is known and what is not."""
         return tuple(
             (label, self.values[key] or NOT_RECORDED) for key, label in LABELS.items() if key in self.values
         )
 
     def summary(self) -> dict[str, str | None]:
-        """Collect what is printed."""
         return {key: self.values[key] for key in LABELS if key in self.values}
 
     def with_values(self, **more: str | None) -> Provenance:
-        """Add values."""
         return Provenance({**self.values, **more})
 
 
@@ -205,7 +202,6 @@ def calibration_values(
 
 
 def plan_description(plan: Plan) -> str:
-    """Describe a plan by what it projects."""
     axes = []
     for axis in plan.axes:
         sets = [plan.fringes[i] for i in plan.sets_along(axis)]
@@ -234,7 +230,6 @@ def duration_text(length: timedelta) -> str:
 
 
 def written_now() -> dict[str, str | None]:
-    """Say when and where the report is written."""
     now = Origin.now()
     return {"written": f"{local_time(now.made)}, fpplab {now.version}, on {now.host}"}
 

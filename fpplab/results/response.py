@@ -34,7 +34,6 @@ class ResponseResult:
     report_file: Path
 
     def figures(self) -> dict[str, Any]:
-        """Collect the fit and its judgement."""
         return {**self.response.summary(), "judgement": self.judgement.model_dump(mode="json")}
 
     def summary(self) -> dict[str, Any]:

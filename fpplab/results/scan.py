@@ -154,7 +154,6 @@ def scan_result(
     cloud_file: Path | None = None,
     report_file: Path | None = None,
 ) -> ScanResult:
-    """Complete a reconstruction by where it comes from and goes to."""
     return ScanResult(
         session=reconstruction.session,
         calibration=reconstruction.calibration,

@@ -42,7 +42,6 @@ class ScanRecord:
     frame: tuple[Image, int] | None  # of the finest fringes, and its bit depth; None for a cloud alone
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures for JSON."""
         judged = self.diagnosis.summary() if self.diagnosis else {"verdict": None}
         cloud = self.cloud
         return {
@@ -64,7 +63,6 @@ class CloudDifference:
     reason: str = ""  # why they are not compared
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures for JSON."""
         names = {"scan": self.scan, "reference": self.reference}
         if self.distances_mm is None:
             return {**names, "not_compared": self.reason}
@@ -87,7 +85,6 @@ class ScansResult:
     report_file: Path
 
     def figures(self) -> dict[str, Any]:
-        """Collect verdicts and figures."""
         return {
             "scans": [scan.summary() for scan in self.scans],
             "differences": [difference.summary() for difference in self.differences],

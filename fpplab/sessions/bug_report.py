@@ -52,12 +52,10 @@ class ReportEntry:
 
     @property
     def size(self) -> int:
-        """In bytes."""
         return len(self.content)
 
 
 def write_bug_report(out: Path, sources: Sequence[Path], frames: bool) -> list[ReportEntry]:
-    """Write a bug report."""
     entries = [_host()]
     for number, source in enumerate(sources, 1):
         entries += (

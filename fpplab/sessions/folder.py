@@ -85,7 +85,6 @@ def _foreign_file_names(path: Path) -> list[str]:
 
 
 def why_no_session(path: Path) -> str:
-    """Say of a path why it cannot be opened as a session."""
     if not path.exists():
         return no_such_file(path)
     missing = " and ".join(name for name in (PLAN, JOURNAL) if not (path / name).is_file())

@@ -34,7 +34,6 @@ class SessionFormat(Document):
 
 
 def session_format(path: Path) -> int:
-    """Return in which version of the format a session is."""
     file = path / FORMAT
     if not file.exists():
         return 1

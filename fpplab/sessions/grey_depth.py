@@ -34,7 +34,6 @@ class StoredLevels:
     where: str = ""  # the first image that has it
 
     def add(self, image: Image, name: str) -> None:
-        """Take note of the levels of one more image."""
         # image (height, width)
         self.occurring[image.ravel()] = True
         if (brightest := int(image.max())) > self.greatest:
@@ -46,7 +45,6 @@ class StoredLevels:
         return np.flatnonzero(self.occurring).astype(np.int64)
 
     def depth(self, bits: int | None, warn: Say, tell: Say) -> tuple[int, int]:
-        """Find the depth, or confirm the one that is said."""
         return self._detect_bits(tell) if bits is None else self._confirm_bits(bits, warn)
 
     def _detect_bits(self, tell: Say) -> tuple[int, int]:

@@ -159,7 +159,6 @@ def _refuse_other_files(path: Path, head: bytes) -> None:
 
 
 def places_in(path: Path) -> list[ImagePlace]:
-    """List the images of a file."""
     with open_image_file(path) as file:
         return [ImagePlace(path, page, file.pages) for page in range(file.pages)]
 
@@ -220,7 +219,6 @@ def _raw(levels: NDArray[Any]) -> Image:
 
 
 def _only_member(path: Path, archive: zipfile.ZipFile) -> zipfile.ZipInfo:
-    """Give the one array of an NPZ file."""
     arrays = [member for member in archive.infolist() if member.filename.endswith(".npy")]
     if not arrays:
         raise DataError(

@@ -28,7 +28,6 @@ class NumberedNames:
 
     @classmethod
     def parse(cls, folder: Path, form: str, first: int, first_step: int | None) -> NumberedNames:
-        """Check a format."""
         fields = _format_fields(form)
         if fields == ["index"] and first_step is not None:
             raise ConfigError("--first-step goes with names that have a {step}; --first is the first {index}")
@@ -42,7 +41,6 @@ class NumberedNames:
         return len(self.first) == 2
 
     def name(self, numbers: NameNumbers) -> str:
-        """Give the name of one image."""
         return self.form.format(**dict(zip(self._fields, numbers, strict=True)))
 
     def existing(self) -> list[NameNumbers]:
@@ -58,7 +56,6 @@ class NumberedNames:
         return sorted(number for number in numbers if (self.folder / self.name(number)).is_file())
 
     def expected(self, sets: Sequence[int] | None, skipped: int = 0) -> list[NameNumbers]:
-        """List the images that there should be."""
         first = self.first[-1]
         if not self.has_steps:
             count = self._counted(n for (n,) in self.existing()) if sets is None else sum(sets) + skipped
@@ -140,7 +137,6 @@ def _format_fields(form: str) -> list[str]:
 
 
 def names_in(folder: Path) -> str:
-    """Say which files a folder has."""
     if not folder.is_dir():
         return f"{folder} is no folder"
     names = sorted(path.name for path in folder.iterdir())
@@ -148,6 +144,5 @@ def names_in(folder: Path) -> str:
 
 
 def first_names(names: Iterable[str]) -> str:
-    """Give the first names of many."""
     names = list(names)
     return ", ".join(names[: LIMITS.max_names_shown]) + (" …" if len(names) > LIMITS.max_names_shown else "")

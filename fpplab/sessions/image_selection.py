@@ -27,7 +27,6 @@ class ImageSelection:
 
     @property
     def title(self) -> str:
-        """What the images are called in messages."""
         if not self.places:
             return str(self.names).removeprefix("@")
         return str(self.places[0]) + (" …" if len(self.places) > 1 else "")
@@ -35,7 +34,6 @@ class ImageSelection:
     def images(
         self, sets: Sequence[int] | None = None, warn: Say = ignore, tell: Say = ignore
     ) -> list[ImagePlace]:
-        """Find the images."""
         numbered = self._numbered_names()
         if numbered is not None:
             return self._by_numbers(numbered, sets)
@@ -92,7 +90,6 @@ class ImageSelection:
         return self.places[0]
 
     def _named_files(self, warn: Say, tell: Say) -> list[Path]:
-        """Files one by one, in the order taken."""
         if self.names is not None and self.names.startswith("@"):
             files = self._files_in_list(Path(self.names[1:]))
         elif self.names is not None:

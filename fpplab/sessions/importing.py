@@ -90,7 +90,6 @@ class _CheckedImages:
 def _find_and_check_images(
     source: ImageSelection, sets: list[int] | None, bits: int | None, warn: Say, tell: Say
 ) -> _CheckedImages:
-    """Find the images of a source and look at each of them."""
     places = source.images(sets, warn, tell)
     size, stored = (0, 0), 8
     earlier: dict[bytes, ImagePlace] = {}

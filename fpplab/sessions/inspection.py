@@ -50,7 +50,6 @@ class SessionFault:
 
 
 def describe_session(session: Session) -> dict[str, Any]:
-    """Describe a session."""
     origin, times = session_origin(session.path), taken_at(session)
     return {
         "session": str(session.path),
@@ -107,7 +106,6 @@ def frame_faults(
 
 
 def _small_files(path: Path) -> dict[str, Callable[[], object]]:
-    """How each of the small files is read."""
     return {
         CHECKSUMS: lambda: recorded_files(path),
         FORMAT: lambda: check_format(path),
@@ -128,7 +126,6 @@ def _results(path: Path) -> dict[str, Callable[[], object]]:
 
 @contextmanager
 def _noted(faults: list[SessionFault], path: Path, name: str) -> Iterator[None]:
-    """Note a fault and go on."""
     try:
         yield
     except FppError as error:

@@ -45,7 +45,6 @@ class FrameRecord(Document):
 
     @classmethod
     def of(cls, frame: Frame, file: str, sha256: str) -> FrameRecord:
-        """Describe a frame that is on disk."""
         height, width = frame.image.shape
         return cls(
             index=frame.index,
@@ -73,18 +72,15 @@ class FrameRecord(Document):
 
 
 def format_text(form: tuple[int, int, int]) -> str:
-    """Describe the format of frames."""
     # form (width, height, bits)
     return f"{form[0]} x {form[1]} at {form[2]} bits"
 
 
 def frame_file(index: int, pattern: str) -> str:
-    """Name the file of a frame."""
     return f"{FRAMES}/{index:04d}_{pattern}.tif"
 
 
 def pattern_ids(plan: Plan) -> list[str]:
-    """List the patterns of a plan in the order of its images."""
     return [name for _, _, name in plan.steps()]
 
 

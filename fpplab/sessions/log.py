@@ -56,7 +56,6 @@ class SessionLog(logging.Handler):
                 os.close(handle)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Append one record."""
         more = {name: getattr(record, name) for name in FIELDS if hasattr(record, name)}
         self.append(level=record.levelname.lower(), logger=record.name, message=record.getMessage(), **more)
         if record.levelno >= logging.WARNING and logging.lastResort and not _is_heard_elsewhere(record.name):

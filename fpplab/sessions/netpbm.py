@@ -54,7 +54,6 @@ class NetpbmFile:
         return {full_scale(bits): bits for bits in BIT_DEPTHS[1:-1]}.get(self._max_level)
 
     def read(self, page: int) -> Image:
-        """Grey levels as stored."""
         channels = 3 if self._kind in (3, 6) else 1
         count = self._size[0] * self._size[1] * channels
         levels = self._text_levels() if self._kind < 4 else self._binary_levels(count)

@@ -72,13 +72,11 @@ class SessionOrigin(Origin):
 
 
 def record_origin(folder: Path, rig: Rig, first_frame: int | None = None) -> None:
-    """Record the origin of a session that has none yet."""
     if not (folder / ORIGIN).is_file():
         write_text(folder / ORIGIN, config.dump(SessionOrigin.of(rig, first_frame)))
 
 
 def session_origin(folder: Path) -> SessionOrigin | None:
-    """Read the origin of a session."""
     path = folder / ORIGIN
     return config.load_document(path, SessionOrigin) if path.is_file() else None
 
@@ -137,7 +135,6 @@ def foreign_calibration(calibration: Calibration, session: Session) -> str | Non
 
 
 def taken_at(session: Session) -> tuple[datetime, datetime] | None:
-    """Return when the frames of a session were taken."""
     if session.is_imported or not session.records:
         return None
     times = [record.host_time_s for record in session.records]
@@ -145,7 +142,6 @@ def taken_at(session: Session) -> tuple[datetime, datetime] | None:
 
 
 def calibration_origin(poses: Sequence[Session]) -> CalibrationOrigin:
-    """Describe what a calibration is made from, now."""
     ends = [times[1] for times in map(taken_at, poses) if times]
     devices = [origin.devices if (origin := session_origin(pose.path)) else {} for pose in poses]
     agreed = {

@@ -58,7 +58,6 @@ class PictureFile:
         return bits if 8 < bits < 16 else None
 
     def read(self, page: int) -> Image:
-        """Grey levels as stored."""
         self._picture.seek(page)
         bits, mode = self._stored_bits(), self._picture.mode
         self._refuse_other_contents(bits)

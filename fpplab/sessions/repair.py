@@ -44,12 +44,10 @@ class RepairReport:
 
     @property
     def is_unchanged(self) -> bool:
-        """Whether there was nothing to repair."""
         return not (self.restored or self.lost or self.aside)
 
 
 def repair_session(path: Path, progress: Progress = no_progress) -> RepairReport:
-    """Make a damaged session readable again."""
     with exclusive_write(path):
         report = RepairReport()
         if not session_faults(path):

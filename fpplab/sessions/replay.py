@@ -53,7 +53,6 @@ class RecordedSession:
         """Nothing is held open between frames."""
 
     def first(self) -> FrameRecord:
-        """Give the record that stands for the settings of all."""
         return self.session.records[0]
 
     def camera_offset(self) -> tuple[int, int] | None:

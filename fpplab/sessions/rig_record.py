@@ -19,7 +19,6 @@ RigRecord = dict[str, Any] | None
 
 
 def read_rig(path: Path) -> RigRecord:
-    """Read the rig that a session records."""
     file = path / RIG
     return config.parse_yaml(config.read_text(file), file) if file.exists() else None
 
@@ -38,7 +37,6 @@ def _but_mounted(rig: RigRecord) -> dict[str, Any]:
 
 
 def recorded_projector(rig: RigRecord, plan: Plan, path: Path) -> tuple[tuple[int, int], Lattice]:
-    """Return which projector showed the patterns of a session."""
     # returns size (width, height) px
     if rig is None and plan.projector_size:
         return plan.projector_size, Lattice.SQUARE

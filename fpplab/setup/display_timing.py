@@ -59,7 +59,6 @@ class DisplayTiming:
         return abs(self.refresh_s / self.reported_s - 1.0) <= LIMITS.max_difference
 
     def summary(self) -> dict[str, Any]:
-        """Give the times as plain values."""
         return {
             "settle_s": self.settle_s,
             "refresh_s": self.refresh_s,

@@ -84,7 +84,6 @@ class RigDraft:
     tests: dict[str, CameraTest | ProjectorTest | StageTest] = field(default_factory=dict)
 
     def text(self, name: str) -> str:
-        """Give the rig file."""
         written = config.to_yaml({"name": name, **self.sections})
         config.validate(config.parse_yaml(written, "rig"), RigFile, "rig")
         return f"# Written by `fpplab rig new`; docs/hardware.md has every option.\n{written}"

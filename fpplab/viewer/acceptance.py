@@ -19,16 +19,13 @@ class AcceptanceView(MeasurementView):
     """As a measurement, with the result as text; the timeline `position` runs over the positions."""
 
     def arrange_views(self) -> None:
-        """Arrange the views."""
         self._positions = 0
         super().arrange_views()
 
     def pictures(self) -> list[Any]:
-        """List the views of images, and the result."""
         return [*super().pictures(), layouts.text_view("Result", "/words/result")]
 
     def position(self, item: str, decoded: Decoded, cloud: Cloud) -> None:
-        """Show one position of a standard."""
         self._positions += 1
         self.canvas.text("words/result", f"**{item}**: {len(cloud):,} points, position {self._positions}")
         self.results(decoded, cloud, None, None)

@@ -79,7 +79,6 @@ class Canvas:
             live.disconnect()
 
     def layout(self, content: Any) -> None:
-        """Arrange the views."""
         import rerun.blueprint as rrb
 
         plan = rrb.Blueprint(
@@ -92,7 +91,6 @@ class Canvas:
             stream.send_blueprint(plan)
 
     def at(self, timeline: str, number: int) -> None:
-        """Set the time of all that follows."""
         for stream in self._streams:
             stream.set_time(timeline, sequence=number)
 
@@ -122,7 +120,6 @@ class Canvas:
         self.log(entity, rr.Image(sheet), static=static, bulky=not static)
 
     def figure(self, entity: str, png: bytes, *, static: bool = False) -> None:
-        """Show a drawn figure."""
         import rerun as rr
 
         self._bytes += len(png)
@@ -130,7 +127,6 @@ class Canvas:
         self.log(entity, packed, static=static, bulky=not static)
 
     def bar(self, entity: str, scale: ColourScale) -> None:
-        """Show a colour bar alone."""
         import rerun as rr
 
         self.log(entity, rr.Image(scale.bar()), static=True)
@@ -138,7 +134,6 @@ class Canvas:
     def cloud(
         self, entity: str, points: NDArray[np.floating[Any]], colours: NDArray[np.uint8], static: bool = True
     ) -> None:
-        """Show points in space."""
         # points (N, 3) mm; colours (N, 3)
         import rerun as rr
 
@@ -147,19 +142,16 @@ class Canvas:
         self.log(entity, shown, static=static)
 
     def value(self, entity: str, value: float) -> None:
-        """Continue a curve."""
         import rerun as rr
 
         self.log(entity, rr.Scalars(value))
 
     def curve_style(self, entity: str, name: str, colour: tuple[int, int, int]) -> None:
-        """Name a curve."""
         import rerun as rr
 
         self.log(entity, rr.SeriesLines(names=name, colors=colour, widths=2.0), static=True)
 
     def text(self, entity: str, markdown: str, *, static: bool = True) -> None:
-        """Show a text."""
         import rerun as rr
 
         self.log(entity, rr.TextDocument(markdown, media_type="text/markdown"), static=static)
@@ -214,12 +206,10 @@ class CommandView:
         self.arrange_views()
 
     def arrange_views(self) -> None:
-        """Arrange the views and draw what is there from the beginning."""
         raise NotImplementedError
 
 
 def shown_step(columns: int) -> int:
-    """Give the step at which pixels of an image are shown."""
     return max(1, -(-columns // SHOWN_COLUMNS))
 
 
@@ -231,5 +221,4 @@ def subsample_columns(values: NDArray[Scalar]) -> NDArray[Scalar]:
 
 
 def eight_bits(image: Image, bits: int) -> NDArray[np.uint8]:
-    """Give the upper eight bits of raw levels."""
     return (image >> (bits - 8)).astype(np.uint8)

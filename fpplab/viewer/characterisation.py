@@ -31,7 +31,6 @@ class CharacterisationView(MeasurementView):
         return rrb.Tabs(*tabs, active_tab=0, name="Scene")
 
     def pictures(self) -> list[Any]:
-        """List the views of images, residuals and text."""
         return [
             *super().pictures()[:3],
             layouts.text_view("Result", "/words/result"),

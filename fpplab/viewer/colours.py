@@ -40,7 +40,6 @@ class ColourScale:
         return cls(quantity, unit, colours, float(low), float(high))
 
     def colours_of(self, values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
-        """Give the colours of values."""
         level: Floats = np.clip((values - self.low) / max(self.high - self.low, 1e-12), 0.0, 1.0)
         finite = np.isfinite(level)
         rgb: NDArray[np.uint8] = self._table()[np.rint(np.where(finite, level, 0.0) * 255).astype(np.intp)]
@@ -48,7 +47,6 @@ class ColourScale:
         return rgb
 
     def above_its_bar(self, values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
-        """Give the colours of a map, with the colour bar beneath it."""
         # values (h, w)
         shown = self.colours_of(values)
         larger = -(-BAR_SIZE[0] // shown.shape[1])

@@ -242,7 +242,6 @@ class GrowingRecording:
         self._changed = threading.Condition()
 
     def add(self, message: bytes) -> None:
-        """Add a message."""
         with self._changed:
             self._messages[self._count] = message
             self._count += 1
@@ -309,7 +308,6 @@ class _PageHandler(BaseHTTPRequestHandler):
     timeout = 30.0
 
     def do_GET(self) -> None:
-        """Answer one request of the page."""
         name = self._name()
         if name is None:
             self.send_error(403)

@@ -9,7 +9,6 @@ from fpplab.viewer.canvas import BACKGROUND
 
 
 def image(name: str, origin: str) -> Any:
-    """View an image, a map or a diagram."""
     import rerun.blueprint as rrb
 
     return rrb.Spatial2DView(origin=origin, name=name, background=BACKGROUND)
@@ -43,7 +42,6 @@ def curves(name: str, contents: Mapping[str, Sequence[str]] | Sequence[str]) -> 
 
 
 def text_view(name: str, origin: str) -> Any:
-    """View a text."""
     import rerun.blueprint as rrb
 
     return rrb.TextDocumentView(origin=origin, name=name)

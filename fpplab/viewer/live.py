@@ -65,7 +65,6 @@ class LitImage:
         return cls(grey, saturated, None if dark is None else subsample_columns(dark).copy())
 
     def painted(self) -> NDArray[np.uint8]:
-        """Paint in what is saturated or dark."""
         # returns (rows, columns, 3)
         rgb = np.repeat(self.grey[..., None], 3, axis=2)
         if self.dark is not None:
@@ -99,14 +98,12 @@ class LiveView(CommandView):
     """The image large, pattern or scene and histogram below it, and the measures at the side."""
 
     def arrange_views(self) -> None:
-        """Arrange the views."""
         self._pattern_id = self._state_text = ""
         for entity, (name, colour) in CURVES.items():
             self.canvas.curve_style(entity, name, colour)
         self.canvas.layout(self.arrangement(layouts.image("Projector", f"/{PATTERN}")))
 
     def arrangement(self, below: Any) -> Any:
-        """Lay out the views."""
         import rerun.blueprint as rrb
 
         camera = layouts.image("Camera: red saturated, blue dark", f"/{IMAGE}")

@@ -48,7 +48,6 @@ class ShownFrame:
 
     @classmethod
     def of(cls, frame: Frame) -> ShownFrame:
-        """Take what is shown of a frame."""
         return cls(subsample_columns(frame.image).copy(), frame.index, frame.settings.bits)
 
 
@@ -62,7 +61,6 @@ class Colouring:
 
     @property
     def entity(self) -> str:
-        """Place of the coloured cloud."""
         return f"world/coloured/{self.name.replace(' ', '_')}"
 
 
@@ -95,7 +93,6 @@ class MeasurementView(CommandView):
         )
 
     def scenes(self, colourings: Sequence[Colouring] = ()) -> Any:
-        """Lay out the scenes, as tabs."""
         import rerun.blueprint as rrb
 
         around = f"/{REACH['part']}"
@@ -115,7 +112,6 @@ class MeasurementView(CommandView):
         return rrb.Tabs(part, *coloured, rig, active_tab=first, name="Scene")
 
     def pictures(self) -> list[Any]:
-        """List the views of images and maps."""
         axes: tuple[Axis, ...] = self._shown.plan[0].axes if self._shown.plan else ("x", "y")
         coordinates = {"x": ("Projector columns u", "/maps/u"), "y": ("Projector rows v", "/maps/v")}
         listed = [
@@ -228,7 +224,6 @@ def show_devices(canvas: Canvas, calibration: Calibration) -> None:
 
 
 def depth_scale(cloud: Cloud) -> ColourScale:
-    """Make the colours of a cloud by depth."""
     return ColourScale.spanning("Distance z from the camera", "mm", "viridis_r", cloud.points[:, 2])
 
 

@@ -67,7 +67,6 @@ class Outbox:
             return message
 
     def end(self, discard: bool = False) -> None:
-        """Accept no more messages."""
         with self._changed:
             self._ended = True
             if discard:

@@ -16,7 +16,6 @@ class ResponseView(CommandView):
     """The camera's image on the left, levels and fit on the right; the timeline is `frame`."""
 
     def arrange_views(self) -> None:
-        """Arrange the views."""
         import rerun.blueprint as rrb
 
         self._levels: list[tuple[float, float]] = []
@@ -37,7 +36,6 @@ class ResponseView(CommandView):
         self.canvas.figure("diagrams/levels", levels_so_far(self._levels))
 
     def response(self, response: Response) -> None:
-        """Show the fit."""
         self.canvas.figure("diagrams/response", response_fit(response), static=True)
         coefficients = response.summary()
         self.canvas.text(

@@ -25,7 +25,6 @@ class SearchView(CommandView):
     """The front on the left, the optimum and curves on the right; the timeline is `epoch`."""
 
     def arrange_views(self) -> None:
-        """Arrange the views."""
         import rerun.blueprint as rrb
 
         self._measured: list[MeasuredCandidate] = []
@@ -43,7 +42,6 @@ class SearchView(CommandView):
         self.canvas.layout(rrb.Horizontal(left, rrb.Vertical(*curves), column_shares=[5, 4]))
 
     def epoch(self, epoch: SearchEpoch) -> None:
-        """Show an epoch of a search."""
         self._measured += [trial for trial in epoch.trials if trial.measured]
         self.canvas.at("epoch", epoch.number)
         for key in CURVES:

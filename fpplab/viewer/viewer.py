@@ -92,7 +92,6 @@ class Viewer(Generic[V]):
 
     @property
     def runs(self) -> bool:
-        """Whether messages are shown or recorded."""
         return self._opening is not None and self.fault is None and not self._closing
 
     def _start(self) -> bool:

@@ -49,7 +49,6 @@ class CharacterisationRequest:
 
     @property
     def page(self) -> Path:
-        """Where the report goes."""
         return self.out.with_suffix(".html")
 
     @property

@@ -23,7 +23,6 @@ class CorrectionRequest:
 
     @property
     def page(self) -> Path:
-        """Where the report goes."""
         return self.out.with_suffix(".html")
 
 

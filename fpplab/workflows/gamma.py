@@ -30,12 +30,10 @@ class GammaRequest:
 
     @property
     def picture(self) -> Path:
-        """Where the picture of the fit goes."""
         return self.out.with_suffix(".png")
 
     @property
     def page(self) -> Path:
-        """Where the report goes."""
         return self.out.with_suffix(".html")
 
 

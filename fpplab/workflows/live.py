@@ -65,7 +65,6 @@ class LiveResult:
     recording: Path | None  # of what the viewer showed
 
     def summary(self) -> dict[str, Any]:
-        """Collect what is printed."""
         return {
             **self.status.summary(),
             "poses": [str(path) for path in self.poses],
@@ -128,7 +127,6 @@ def _check_request(request: LiveRequest) -> tuple[Rig, LiveOptions]:
 
 
 def _working_point(rig: Rig, plan: Plan, name: str, request: LiveRequest) -> WorkingPoint | None:
-    """What the geometry promises, if it is known."""
     if request.calibration is None:
         if request.distance_mm is not None:
             raise ConfigError("--distance has an effect with --calibration only; give both or neither")

@@ -39,7 +39,6 @@ class OptimisationRequest:
 
     @property
     def page(self) -> Path:
-        """Where the report goes."""
         from fpplab.optimisation.run import report_path
 
         return report_path(self.scope, self.out)

@@ -39,7 +39,6 @@ class ReconstructionRequest:
 
     @property
     def page(self) -> Path | None:
-        """Where the report goes."""
         return None if self.out is None else self.out.with_suffix(".html")
 
 
@@ -174,9 +173,7 @@ class _Callbacks(Observer):
         self._progress, self._maps_ready = progress, maps_ready
 
     def stage(self, name: str) -> AbstractContextManager[Progress]:
-        """Enter a stage."""
         return nullcontext(self._progress)
 
     def maps(self, decoded: Decoded) -> None:
-        """Pass maps on."""
         self._maps_ready(decoded)

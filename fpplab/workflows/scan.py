@@ -41,7 +41,6 @@ class ScanRequest:
 
     @property
     def plan_for_depth(self) -> Plan:
-        """The plan with the range of depths that is asked for."""
         from fpplab.pipeline import plan_with_depth
 
         return plan_with_depth(self.plan, self.depth_mm)
@@ -139,7 +138,6 @@ class ProgressObserver(Observer):
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Progress]:
-        """Enter a stage."""
         begin, end = self._shares.get(name, (1.0, 1.0))
         yield lambda share: self._progress(begin + (end - begin) * share)
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 
 def float_image(name: str, pixels: NDArray[np.float32]) -> Any:
-    """Make a linear image in Blender."""
     # pixels (rows, columns)
     rows, columns = pixels.shape[:2]
     image = bpy.data.images.new(name, columns, rows, float_buffer=True, is_data=True)

@@ -89,7 +89,6 @@ BASE_SHADERS = {
 def add_paint(
     mesh: Any, paint: Paint, picture: NDArray[np.uint8] | None, uv: Floats | None, ambient: float = 0.0
 ) -> None:
-    """Give a mesh its material."""
     # uv (V, 2)
     material = bpy.data.materials.new("paint")
     material.use_nodes = True
@@ -232,7 +231,6 @@ def _place(nodes: Nodes) -> Any:
 
 
 def _painted_reflectance(nodes: Nodes, mesh: Any, reflectance: NDArray[np.float32], uv: Floats) -> Any:
-    """Reflectance [v, u] painted on the mesh."""
     layer = mesh.uv_layers.new(name="picture")
     corners = np.empty(len(mesh.loops), np.int32)
     mesh.loops.foreach_get("vertex_index", corners)

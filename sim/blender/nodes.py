@@ -12,22 +12,18 @@ class Nodes:
         self.tree = tree
 
     def add(self, kind: str) -> Any:
-        """Add a node."""
         return self.tree.nodes.new(kind)
 
     def join(self, value: Any, socket: Any) -> None:
-        """Give a socket a value, or link another socket to it."""
         if isinstance(value, float | int | tuple):
             socket.default_value = value
         else:
             self.tree.links.new(value, socket)
 
     def math(self, operation: str, *values: Any) -> Any:
-        """Add a scalar operation."""
         return self._operate("ShaderNodeMath", operation, values).outputs["Value"]
 
     def vector(self, operation: str, *values: Any) -> Any:
-        """Add an operation on vectors that gives a vector."""
         return self._operate("ShaderNodeVectorMath", operation, values).outputs["Vector"]
 
     def dot(self, vector: Any, other: Any) -> Any:
@@ -48,14 +44,12 @@ class Nodes:
         return node.outputs[0]
 
     def total(self, *values: Any) -> Any:
-        """Add the sum of scalars."""
         result = values[0]
         for value in values[1:]:
             result = self.math("ADD", result, value)
         return result
 
     def times(self, *values: Any) -> Any:
-        """Add the product of scalars."""
         result = values[0]
         for value in values[1:]:
             result = self.math("MULTIPLY", result, value)

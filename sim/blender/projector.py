@@ -20,7 +20,6 @@ from .nodes import Nodes
 
 
 def add_projector(scene: Any, lamp: Lamp, textures: NDArray[np.float32] | None) -> None:
-    """Add the projector as a light."""
     # textures (circles, rows, columns)
     light = bpy.data.lights.new("projector", "SPOT")
     light.shadow_soft_size, light.spot_blend, light.spot_size = 0.0, 0.0, 2 * lamp.half_angle

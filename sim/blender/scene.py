@@ -45,7 +45,6 @@ class BlenderScene:
         effort: RenderSettings,
         out: PixelBuffer,
     ) -> None:
-        """Render a scene once for every view."""
         # textures (circles, rows, columns, 3)
         out[...] = 0
         left, top, right, bottom = scene.window

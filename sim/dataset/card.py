@@ -47,7 +47,6 @@ LIMITS = (
 
 
 def split_of(index: int) -> str:
-    """Return which split a sample belongs to."""
     return SPLITS[index % len(SPLITS)]
 
 
@@ -60,7 +59,6 @@ def dataset_fields(bits: int) -> dict[str, FieldSpec]:
 def make_card(
     recipe: dict[str, Any], fields: dict[str, FieldSpec], dimensions: dict[str, int], licence: str
 ) -> dict[str, Any]:
-    """Make the card of a data set."""
     described = [{**asdict(f), "shape": list(f.extent(dimensions)), "axes": f.shape} for f in fields.values()]
     size = sum(np.dtype(f["dtype"]).itemsize * math.prod(f["shape"]) for f in described)
     samples = recipe["samples"]
@@ -112,7 +110,6 @@ def _check_same(folder: Path, card: dict[str, Any]) -> None:
 
 
 def read_card(folder: Path) -> dict[str, Any]:
-    """Read the card in a folder."""
     path = folder / CARD
     try:
         card = parse_json(read_bounded(path, 50_000_000))  # bytes: it holds a whole world

@@ -26,7 +26,6 @@ class FieldSpec:
     meaning: str  # what the values are
 
     def extent(self, dimensions: dict[str, int]) -> tuple[int, ...]:
-        """Compute the shape in numbers."""
         return tuple(dimensions[side] if side in dimensions else int(side) for side in self.shape.split())
 
 

@@ -47,7 +47,6 @@ class DatasetRequest:
     shard_size: int = 8  # samples in a shard, at least 1
 
     def shard(self, number: int) -> range:
-        """List the samples of a shard."""
         return range(number * self.shard_size, min((number + 1) * self.shard_size, self.samples))
 
 

@@ -106,7 +106,6 @@ class SceneRanges(Document):
 
     @classmethod
     def load(cls, path: Path | str) -> SceneRanges:
-        """Read a file of ranges."""
         file = config.find_config(path, "dataset")
         scenes = config.load_document(file, cls, "dataset")
         for name in scenes.artefacts:
@@ -138,7 +137,6 @@ _DRAWN_UNIFORMLY = (
 def draw_scene(
     scenes: SceneRanges, seed: int, index: int, devices: Calibration, stage_mm: float
 ) -> DatasetScene:
-    """Draw one scene of a data set."""
     random = _random(seed, index, _SCENE)
     items = (*scenes.artefacts, *scenes.targets)
     item = items[int(random.integers(len(items)))]
@@ -166,7 +164,6 @@ _SCENE, _STAGE = range(2)
 
 
 def draw_stage(scenes: SceneRanges, seed: int, index: int) -> float:
-    """Draw the position of the stage in one scene."""
     return float(_random(seed, index, _STAGE).uniform(*scenes.stage_mm))
 
 

@@ -31,12 +31,10 @@ CHECKSUMS, SCENES = "sha256.json", "scenes.jsonl"
 
 
 def shard_name(number: int) -> str:
-    """Name the folder of a shard."""
     return f"shard_{number:05d}"
 
 
 def draft_name(number: int) -> str:
-    """Name the folder in which a shard is made."""
     return f".{shard_name(number)}"
 
 
@@ -85,7 +83,6 @@ class ShardWriter:
         return self._stack.enter_context(_Hashed(self._draft / name))
 
     def add(self, arrays: Arrays, scene: dict[str, Any]) -> None:
-        """Append a sample."""
         for name, field in self._fields.items():
             array = np.asarray(arrays[name], order="C")
             assert (array.dtype.str, array.shape) == (field.dtype, field.extent(self._dimensions)), name
@@ -106,7 +103,6 @@ class ShardWriter:
 
 
 def array_file(field: str) -> str:
-    """Name the file of a field in a shard."""
     return f"{field}.npy"
 
 
@@ -136,7 +132,6 @@ class _Hashed:
 
 
 def check_shard(shard: Path) -> None:
-    """Compare every file of a shard with its checksum."""
     try:
         sums = parse_object(read_bounded(shard / CHECKSUMS, 1_000_000))  # bytes
         for name, expected in sums.items():

@@ -28,7 +28,6 @@ class SampleView(CommandView):
     """Maps of the latest sample; the timeline is `sample`."""
 
     def arrange_views(self) -> None:
-        """Arrange the views."""
         import rerun.blueprint as rrb
 
         maps = [layouts.image(title, f"/sample/{name}") for name, (title, *_) in SHOWN.items()]
@@ -46,7 +45,6 @@ class SampleView(CommandView):
         )
 
     def sample(self, arrays: dict[str, Any], record: dict[str, Any]) -> None:
-        """Show a sample."""
         self.canvas.at("sample", record["index"])
         image = arrays[FRAMES].astype(np.float32)
         bright = max(float(np.percentile(image, 99.8)), 1.0)

@@ -35,12 +35,10 @@ class RandomDisplacement:
 
     @property
     def covariance(self) -> Floats:
-        """(k, k)."""
         return np.asarray(self.isotropic**2 * np.eye(len(self.axis)) + np.outer(self.axis, self.axis))
 
     @property
     def free(self) -> int:
-        """Number of parameters."""
         return int(self.isotropic > 0) + len(self.axis) * int(self.axis.any())
 
 

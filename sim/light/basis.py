@@ -19,14 +19,12 @@ class Basis:
     channels: PatternLevels  # (channels, rows, columns) of mirrors, within [0, 1]; the first is white
 
     def level(self, pattern_index: int) -> PatternLevels:
-        """Compute the light of one pattern as the basis represents it."""
         # returns (rows, columns)
         weights = self.weights[pattern_index].astype(np.float32)
         return np.asarray(np.tensordot(weights, self.channels, axes=1))
 
 
 def smallest_basis(levels: PatternLevels, allowed: float) -> Basis:
-    """Find the smallest basis that represents every pattern."""
     # The first channel is white; the others are principal components, shifted and scaled into [0, 1] so that
     # they can be projected.
     # levels (patterns, rows, columns)

@@ -30,7 +30,6 @@ class ByteLimitedCache(Generic[T]):
         self._results: OrderedDict[object, T] = OrderedDict()
 
     def get(self, key: object, make: Callable[[], T]) -> T:
-        """Give the result of a key, made if it is not there."""
         if key not in self._results:
             self._results[key] = make()
         self._results.move_to_end(key)
@@ -50,5 +49,4 @@ class ByteLimitedCache(Generic[T]):
         self._results.update(other._results)
 
     def clear(self) -> None:
-        """Drop all results."""
         self._results.clear()

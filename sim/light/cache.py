@@ -34,7 +34,6 @@ _log = logging.getLogger(__name__)
 
 
 def table_digest(scene: RenderScene, views: list[SubpixelView], *more: object) -> str:
-    """Hash all that a table depends on."""
     hashed = hashlib.sha256()
     _feed(hashed, (scene, views, *more))
     return hashed.hexdigest()[:32]
@@ -58,7 +57,6 @@ def _feed(hashed: hashlib._Hash, value: object) -> None:
 
 @lru_cache(maxsize=1)
 def renderer_name() -> str:
-    """Identify the program that makes tables."""
     sim = Path(__file__).parents[1]
     hashed = hashlib.sha256()
     for path in sorted(

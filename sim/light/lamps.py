@@ -41,7 +41,6 @@ class RoomLight:
         self._kept: ByteLimitedCache[Irradiance] = ByteLimitedCache(1 << 28)
 
     def on(self, scene: RenderScene, pixels: PixelIndices | None = None) -> Irradiance | np.float32:
-        """Compute the light on what pixels see."""
         # returns (P,)
         ambient = np.float32(self._world.ambient)
         if not point_lamps(self._world):
@@ -88,7 +87,6 @@ class _Met:
 
 
 def point_lamps(world: World) -> tuple[PointLamp, ...]:
-    """Collect the lamps of the room of all effects."""
     return tuple(lamp for effect in EFFECTS for lamp in effect.point_lamps(world))
 
 

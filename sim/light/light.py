@@ -74,7 +74,6 @@ class Rendered:
 
     @property
     def nbytes(self) -> int:
-        """Size in bytes."""
         return self.pictures.nbytes + self.table.nbytes
 
 

@@ -48,7 +48,6 @@ class Mirrors:
         self._basis: tuple[MirrorStates, Basis] | None = None
 
     def level(self, pattern: Pattern) -> PatternLevels:
-        """Compute the light under a pattern."""
         # returns (rows, columns)
         return self._kept.get(pattern, lambda: self._with_effects(self._even(pattern)))
 
@@ -62,7 +61,6 @@ class Mirrors:
         )
 
     def states(self, patterns: tuple[Pattern, ...]) -> MirrorStates:
-        """Give the states of the mirrors under loaded patterns."""
         if self._loaded is None or self._loaded[0] is not patterns:
             response = self._projector.response
             depth = min(p.bit_depth for p in patterns)
@@ -92,7 +90,6 @@ class Mirrors:
         return self._planes[1]
 
     def basis(self, levels: MirrorStates) -> Basis:
-        """Find the smallest basis of all states."""
         if self._basis is None or self._basis[0] is not levels:
             basis = smallest_basis(np.stack([levels.of(n) for n in range(levels.count)]), levels.rounding)
             self._basis = (levels, basis)
@@ -105,7 +102,6 @@ class Mirrors:
             self._textures.take(other._textures)
 
     def forget(self) -> None:
-        """Drop all that is kept."""
         self._kept.clear()
         self._textures.clear()
         self._loaded = self._planes = self._basis = None

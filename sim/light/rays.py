@@ -34,7 +34,6 @@ def undistort_ray(xd: float, yd: float, lens: Floats, reach: float) -> tuple[flo
 
 @numba.njit(cache=True, inline="always")
 def slopes_at(u: float, v: float, matrix: Floats, lens: Floats, reach: float) -> tuple[float, float]:
-    """Compute the slopes of the ray from the middle of the lens."""
     # matrix (3, 3)
     return undistort_ray((u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1], lens, reach)
 
@@ -69,5 +68,4 @@ def lens_turn(column: int, row: int, height: int) -> tuple[float, float]:
 
 @numba.njit(cache=True, inline="always")
 def on_lens(radius: float, x: float, y: float, sine: float, cosine: float) -> tuple[float, float]:
-    """Compute where a ray begins on the lens."""
     return radius * (x * cosine - y * sine), -radius * (x * sine + y * cosine)

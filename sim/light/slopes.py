@@ -30,12 +30,10 @@ class MotionTable:
 
     @property
     def nbytes(self) -> int:
-        """Size in bytes."""
         own = self.slopes.nbytes + self.albedo_slopes.nbytes + self.motion.nbytes
         return self.table.nbytes + own
 
     def look_up(self, textures: PatternTextures) -> Irradiance:
-        """Compute the light under patterns with its derivatives."""
         # returns (n, P, 5) mm
         assert textures.weights is not None
         views, h, w, _ = self.table.samples.shape

@@ -43,7 +43,6 @@ def traced(
 
 
 def shape_of(scene: RenderScene) -> RayTracedShape:
-    """Prepare all surfaces of a scene for ray tracing."""
     placed = [
         trimesh.Trimesh(surface.vertices, surface.faces, process=False).apply_transform(surface.T_camera_item)
         for surface in scene.surfaces

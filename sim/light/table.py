@@ -35,7 +35,6 @@ class LightTable:
 
     @property
     def nbytes(self) -> int:
-        """Size in bytes."""
         return self.samples.nbytes + self.albedo.nbytes
 
     @cached_property
@@ -68,7 +67,6 @@ class LightTable:
         return cls(samples, albedo / np.float32(views), (left, top))
 
     def at(self, pixels: PixelIndices) -> LightTable:
-        """Take some pixels alone."""
         (left, top), (height, width) = self.corner, self.samples.shape[1:3]
         row, column = pixels[0] - top, pixels[1] - left
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
@@ -86,7 +84,6 @@ class LightTable:
         return left, top, right, bottom
 
     def look_up(self, textures: PatternTextures) -> Irradiance:
-        """Compute pictures under patterns."""
         # returns (patterns, height, width)
         views, h, w, _ = self.samples.shape
         light = np.empty((textures.texels.shape[-1], h * w), np.float32)

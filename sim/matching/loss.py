@@ -60,7 +60,6 @@ class Loss:
 
     @property
     def whole(self) -> float:
-        """The loss with the SSIM of whole images."""
         return float(self._of(self.similarity.whole).mean())
 
     @property
@@ -109,7 +108,6 @@ def board_mask(camera: Pinhole, T_camera_board: RigidTransform, target: Target, 
 def rectangle_mask(
     camera: Pinhole, T_camera_board: RigidTransform, low: Floats, high: Floats, margin_px: int = 0
 ) -> Mask:
-    """Find the pixels that see a rectangle on a board."""
     # low, high (2,) mm
     along = np.linspace(-1.0, 1.0, 50, endpoint=False)  # many points: the lens bends the edges
     edge = np.ones_like(along)
@@ -130,7 +128,6 @@ def rectangle_mask(
 
 
 def subsample_pixels(area: Mask, count: int) -> PixelIndices:
-    """Subsample the pixels of a mask evenly."""
     v, u = np.nonzero(area)
     stride = max(1, int(np.sqrt(len(u) / count)))
     chosen = (v % stride == 0) & (u % stride == 0)

@@ -166,7 +166,6 @@ def match_twin(
     observe: EpochObserver = ignore,
     tell: Say = ignore,
 ) -> MatchedTwin:
-    """Match a twin to the reference, or continue where the record ends."""
     epochs = record.read()
     if not epochs:
         start = ParametersFile.of(start).parameters()  # as a continued matching reads them

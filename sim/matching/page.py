@@ -51,7 +51,6 @@ def write_matching_report(
     answer: Mapping[str, Any] | None = None,
     provenance: Mapping[str, Provenance] | None = None,
 ) -> None:
-    """Write a matching as one HTML file."""
     sections = [_epochs_section(matching)]
     if matching.gamma:
         sections.append(_gamma_section(matching.gamma))

@@ -27,12 +27,10 @@ def check_scans(twin: Twin, scans: Mapping[str, Session]) -> None:
 def fit_scans(
     twin: Twin, scans: Mapping[str, Session], calibration: Calibration, refusals: Refusals
 ) -> list[BenchScan]:
-    """Find how parts stood in their scans."""
     return [fit_scan(twin, item, session, calibration, refusals) for item, session in scans.items()]
 
 
 def match_surfaces(twin: Twin, scans: Sequence[BenchScan], tell: Say = ignore) -> list[SurfaceMatch]:
-    """Match the surfaces of parts."""
     matches = []
     for scan in scans:
         tell(f"matching the surface of the {scan.item}")

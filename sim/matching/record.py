@@ -42,7 +42,6 @@ class _ParametersForm(Document):
         )
 
     def parameters(self) -> TwinParameters:
-        """Convert back to parameters."""
         values = dict(self)
         return TwinParameters(
             calibration=values["calibration"].calibration(),

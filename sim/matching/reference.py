@@ -60,12 +60,10 @@ class Reference:
 
     @property
     def plan(self) -> Plan:
-        """The plan of the sessions, which is the same for all."""
         return self.sessions[0].plan
 
     @property
     def settings(self) -> CameraSettings:
-        """Settings of the camera in the first frame."""
         return self.sessions[0].records[0].settings
 
     @property
@@ -96,7 +94,6 @@ class Reference:
 
     @cached_property
     def patterns(self) -> tuple[Pattern, ...]:
-        """All patterns of the plan, in the order shown."""
         return make_patterns(self.plan, *self.projector)
 
     @cached_property
@@ -126,7 +123,6 @@ class Reference:
         return tuple(images)
 
     def shown(self, images: Sequence[int]) -> tuple[Pattern, ...]:
-        """Give the patterns of some images."""
         return tuple(self.patterns[index] for index in images)
 
     def frames(self, pose: int, images: Sequence[int]) -> LevelStack:

@@ -45,7 +45,6 @@ class Refusals:
         self.notes: list[str] = []
 
     def refuse(self, cause: FaultCause, message: str) -> None:
-        """Refuse for a cause, or note it where it was accepted."""
         if cause not in self.accepted:
             raise CalibrationError(f"{message} (--accept {cause} matches the twin all the same)")
         self.notes.append(f"{cause} accepted: {message}")

@@ -125,7 +125,6 @@ class _Prepared:
 
 
 def twin_of(rig: Rig, board: str) -> Twin:
-    """Give the twin of an open rig."""
     if not isinstance(rig.simulation, VirtualBench):
         raise ConfigError(
             "--twin: the rig has no simulation that can be matched; name a rig such as rig_twin"

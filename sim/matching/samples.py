@@ -58,7 +58,6 @@ class PixelSample:
         return np.array([np.tile(tiles, count), poses, np.repeat(self.images, len(tiles))], np.int64)
 
     def residual(self, reference: Reference, twin: Twin) -> Floats:
-        """Compare with a twin."""
         # returns (n P,)
         patterns = reference.shown(self.images)
         here = twin.expected_at(self.pose, patterns, reference.settings, self.pixels).astype(np.float64)
@@ -69,7 +68,6 @@ class PixelSample:
 
 
 def tile_numbers(pixels: PixelIndices) -> NDArray[np.int64]:
-    """Number the tiles of a grid over some pixels."""
     # returns (P,)
     row, column = (TILES * (index - index.min()) // (np.ptp(index) + 1) for index in pixels)
     return np.asarray(TILES * row + column, np.int64)
@@ -78,7 +76,6 @@ def tile_numbers(pixels: PixelIndices) -> NDArray[np.int64]:
 def sample_pixels(
     reference: Reference, parameters: TwinParameters, poses: Sequence[int], images: Sequence[int]
 ) -> list[PixelSample]:
-    """Sample the pixels of the board and its surroundings."""
 
     def one(pose: int) -> PixelSample:
         area = board_mask(

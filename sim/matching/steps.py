@@ -59,11 +59,9 @@ class MatchingContext:
 
     @property
     def parameters(self) -> TwinParameters:
-        """Of the twin."""
         return self.twin.parameters
 
     def with_parameters(self, parameters: TwinParameters) -> MatchingContext:
-        """Give the same with other parameters of the twin."""
         return replace(self, twin=self.twin.with_parameters(parameters))
 
     def frame_terms(self) -> list[FrameTerms]:
@@ -91,7 +89,6 @@ class MatchingContext:
         return bands.strongest_ripple(self.frame_terms(), residuals)
 
     def light_parameters(self, *more: str) -> tuple[str, ...]:
-        """Name the parameters of light that are free."""
         response = () if self.reference.response is not None else ("b", "g")
         black = () if self._black_is_held else ("black_level",)
         return (self.white, "ink", "ambient", *black, *response, *more)
@@ -246,7 +243,6 @@ def _spread(at: MatchingContext) -> tuple[int, ...]:
 
 
 def _steps_of(effects: Sequence[Effect[Document]]) -> tuple[MatchingStep, ...]:
-    """Steps that match effects to the bench, in their order."""
     return tuple(
         MatchingStep(
             effect.name,

@@ -32,7 +32,6 @@ class MatchingView(CommandView):
     """Images on the left, curves on the right; the timeline is `epoch`."""
 
     def arrange_views(self) -> None:
-        """Arrange the views."""
         import rerun.blueprint as rrb
 
         self._epochs: list[MatchingEpoch] = []
@@ -92,7 +91,6 @@ class MatchingView(CommandView):
 
 
 def show_twin(viewer: Viewer[MatchingView], reference: Reference, twin: Twin) -> None:
-    """Show one image of the bench and of a twin."""
     pose, images = reference.spread_poses(1)[0], reference.finest[:1]
     expected: Any = twin.expected(pose, reference.shown(images), reference.settings)[0]
     real: Any = reference.frames(pose, images)[0]

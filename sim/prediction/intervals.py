@@ -22,11 +22,9 @@ class FigureInterval:
     high: float  # in the unit of the figure
 
     def contains(self, measured: float) -> bool:
-        """Return whether a measured figure lies within."""
         return self.low <= measured <= self.high
 
     def summary(self) -> dict[str, float]:
-        """Give plain values."""
         return {"value": self.value, "low": self.low, "high": self.high}
 
 

@@ -21,7 +21,6 @@ def with_surface(material: Material, surface: PartSurface) -> dict[str, Any]:
 
 
 def surface_of(material: Material) -> PartSurface | None:
-    """Read the surface of a material that was matched."""
     if not material.sigma:
         return None
     names = {"reflectance", "gloss", "gloss_roughness", "radius_mm"}

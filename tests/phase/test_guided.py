@@ -9,8 +9,8 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.recording import Recording
 from fpplab.phase import check_unwrapping, decode
 from fpplab.phase.bounds import PossibleCoordinates
-from fpplab.phase.reference import decode_axis
 from fpplab.phase.unwrapping import wavelength_sequence
+from tests.phase.reference_decoder import decode_axis
 from tests.phase.test_fusion import WIDTH, plan_of
 from tests.phase.test_wrong_order import noisy
 

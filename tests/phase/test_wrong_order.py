@@ -12,8 +12,8 @@ from fpplab.phase import decode
 from fpplab.phase.alternatives import alternatives_of
 from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.phase.precision import uncertain_orders
-from fpplab.phase.reference import decode_axis
 from fpplab.phase.unwrapping import wavelength_sequence
+from tests.phase.reference_decoder import decode_axis
 from tests.phase.test_fusion import WIDTH, plan_of
 
 HEIGHT = 60

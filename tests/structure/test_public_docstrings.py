@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 import pytest
@@ -21,6 +22,7 @@ from fpplab.devices import (
     Projector,
     Stage,
 )
+from tests.structure.measure import working_tree
 
 CODES = {
     "GL08": "no docstring",
@@ -55,6 +57,11 @@ HOOKS = [
     if inspect.isfunction(member)
     and (member in OPTIONAL_HOOKS or getattr(member, "__isabstractmethod__", False))
 ]
+PACKAGES = {
+    path.removesuffix("/__init__.py").replace("/", ".")
+    for path in working_tree()
+    if path.endswith("/__init__.py") and not path.startswith("sim/blender/")  # Blender's own interpreter
+}
 
 
 def place(thing: object) -> str:
@@ -82,6 +89,14 @@ def errors(name: str, left_out: tuple[str, ...] = ()) -> list[str]:
 @pytest.mark.parametrize("function", FUNCTIONS, ids=place)
 def test_a_public_function_says_what_it_takes_and_returns(function: object) -> None:
     assert not errors(place(function))
+
+
+def test_what_a_package_exports_is_described() -> None:
+    packages = [import_module(name) for name in sorted(PACKAGES)]
+    exported = [getattr(package, name) for package in packages for name in getattr(package, "__all__", ())]
+    described = [thing for thing in exported if inspect.isfunction(thing)]
+    assert len(described) > 50
+    assert not [place(thing) for thing in described if not thing.__doc__]
 
 
 @pytest.mark.parametrize("cls", CLASSES, ids=place)

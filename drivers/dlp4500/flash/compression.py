@@ -58,7 +58,6 @@ def repeats_every_four_lines(image: ImageBytes) -> bool:
 
 
 def encode_run_lengths(image: ImageBytes) -> bytes:
-    """Encode an image row by row as runs and literals."""
     # A byte n of 1 to 255 means that the pixel after it is repeated n times; 0 and n of 2 to 255 that n
     # pixels follow literally; 0, 0 ends a row and is padded with zeros to a multiple of 4 bytes; 0, 1 ends
     # the image and is padded to a multiple of 16 bytes.

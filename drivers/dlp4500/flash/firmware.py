@@ -83,7 +83,6 @@ class Firmware:
 
     @classmethod
     def load(cls, path: Path) -> Firmware:
-        """Read a firmware file."""
         try:
             firmware = cls(read_bounded(path, MAX_FILE_BYTES), path)
         except OSError as error:
@@ -116,7 +115,6 @@ class Firmware:
 
     @property
     def images(self) -> int:
-        """Number of images in the file."""
         start = self.splash.offset
         if not self.content.startswith(_SPLASH_SIGNATURE, start):
             raise DataError(f"{self.source}: has no images at {start:#x}, their address in its flash table")

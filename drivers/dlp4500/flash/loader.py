@@ -85,7 +85,6 @@ class BootLoaderLink:
         self.link.write(FLASH_TYPE, algorithm=0)  # that of the evaluation module's flash
 
     def erase(self, sector: int) -> None:
-        """Erase a sector, which sets all its bits to one."""
         self._check(sector * memory.SECTOR, memory.SECTOR)
         self.link.write(ADDRESS, value=sector * memory.SECTOR)
         self.link.write(ERASE)
@@ -109,7 +108,6 @@ class BootLoaderLink:
             )
 
     def checksum(self, offset: int, size: int) -> int:
-        """Have the boot loader compute a checksum."""
         self.link.write(ADDRESS, value=offset)
         self.link.write(UPLOAD_SIZE, value=size)
         self.link.write(SUM)
@@ -117,7 +115,6 @@ class BootLoaderLink:
         return self._read_number(_CHECKSUM)
 
     def read(self, offset: int, size: int) -> bytes:
-        """Read a few bytes, one checksum for each."""
         return bytes(self.checksum(at, 1) & 0xFF for at in range(offset, offset + size))
 
     def leave(self) -> None:

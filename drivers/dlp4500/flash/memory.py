@@ -19,7 +19,6 @@ def flash_checksum(data: bytes) -> int:
 
 
 def sector_of(offset: int) -> int:
-    """Find the sector of a byte."""
     return offset // SECTOR
 
 

@@ -120,7 +120,6 @@ class _ProgressPage:
         self._loader.write(self._offset, self._digest)
 
     def matches_file(self) -> bool:
-        """Tell whether an upload of this file was interrupted."""
         return self._loader.read(self._offset, _SLOT) == self._digest
 
     def written(self) -> frozenset[int]:
@@ -128,7 +127,6 @@ class _ProgressPage:
         return frozenset(s for s in self._images[1:] if self._is_marked(s) and self._holds(s))
 
     def mark(self, sector: int) -> None:
-        """Mark a sector as complete."""
         self._loader.write(self._mark_of(sector), _MARK)
 
     def _mark_of(self, sector: int) -> int:

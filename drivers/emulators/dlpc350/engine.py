@@ -73,7 +73,6 @@ class LightEngine:
 
     @property
     def mode(self) -> DisplayMode:
-        """The present display mode."""
         return self._mode
 
     def light(self) -> ProjectedLight | None:
@@ -83,7 +82,6 @@ class LightEngine:
         return self.light_at(self.clock.now())
 
     def light_at(self, time_s: float) -> ProjectedLight | None:
-        """Return the light that leaves the lens at a given time."""
         # It is meant for the receiver of a pulse, whose edges may lie a little ahead of the present time.
         if self.asleep:
             return None

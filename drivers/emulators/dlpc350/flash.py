@@ -35,7 +35,6 @@ class Flash:
         self.content = bytearray(content.ljust(SIZE, b"\xff"))
 
     def erase(self, sector: int) -> None:
-        """Set all bits of a sector to one."""
         self.content[sector * SECTOR : (sector + 1) * SECTOR] = b"\xff" * SECTOR
 
     def erase_partially(self, sector: int) -> None:
@@ -50,12 +49,10 @@ class Flash:
         self.content[part] = (old & np.frombuffer(data, np.uint8)).tobytes()
 
     def checksum(self, offset: int, size: int) -> int:
-        """Sum up bytes."""
         part = np.frombuffer(bytes(self.content[offset : offset + size]), np.uint8)
         return int(part.sum(dtype=np.uint64)) & 0xFFFFFFFF
 
     def read_listed_firmware_blocks(self) -> list[bytes] | None:
-        """Read every block of program and configuration that the flash table lists."""
         if self.content[TABLE : TABLE + 4] != bytes.fromhex("67452301"):
             return None
         listed = [struct.unpack_from("<II", self.content, TABLE + 16 + 8 * i) for i in range(56)]
@@ -73,7 +70,6 @@ class StoredImage:
 
 
 def stored_images(flash: bytes | bytearray) -> list[StoredImage]:
-    """Read the images to which the flash table points."""
     (splash,) = struct.unpack_from("<I", flash, SPLASH_ADDRESS)
     start = splash - BASE_ADDRESS
     if flash[start : start + 8] != bytes.fromhex("7856341221436587"):
@@ -104,7 +100,6 @@ def _parse_image(blob: bytes) -> StoredImage:
 
 
 def decompress_pixels(compression: int, data: bytes, width: int, height: int) -> NDArray[np.uint8]:
-    """Decompress the pixels of an image."""
     # returns (height, width, 3)
     if compression == 1:
         flat = _from_runs(data, width, height)

@@ -36,7 +36,6 @@ class BootLoader:
         self.exit_requested = False
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
-        """Carry out a message."""
         number, data = int.from_bytes(message.payload[:2], "little"), message.payload[2:]
         flags, data_out = message.flags, b""
         try:

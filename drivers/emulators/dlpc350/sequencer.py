@@ -133,7 +133,6 @@ class Sequencer:
             self._next_s = now + self._tables.input_delay_s
 
     def displayed_at(self, now: float, keep_last: bool) -> DisplayedPattern | None:
-        """Return the pattern that is on the mirrors."""
         shown = self.shown
         if shown is None or (not self.running and self.state is not Run.PAUSE and not keep_last):
             return None

@@ -27,27 +27,23 @@ class PatternTables:
 
     @classmethod
     def at_power_on(cls) -> Self:
-        """Give the tables that a board starts with."""
         tables = cls()
         tables.fill_patterns(0, POWER_ON_PATTERNS)
         tables.fill_images(0, POWER_ON_IMAGES, len(POWER_ON_IMAGES))
         return tables
 
     def fill_patterns(self, address: int, data: bytes) -> None:
-        """Write entries of the pattern table."""
         if len(data) % 3 or address + len(data) // 3 > MAX_ENTRIES:
             raise ValueError("the entries do not fit in the pattern table")
         entries = [ENTRY.unpack(data[i : i + 3]) for i in range(0, len(data), 3)]
         _write_entries(self.patterns, address, entries)
 
     def fill_images(self, address: int, data: bytes, size: int) -> None:
-        """Write entries of the image table."""
         if address + len(data) > size:
             raise ValueError("the images do not fit in the image table")
         _write_entries(self.images, address, list(data))
 
     def fill_variable(self, address: int, values: Values) -> None:
-        """Write one entry of the pattern table with variable exposure."""
         _write_entries(self.variable, address, [values])
 
     def entries(self, variable: bool, count: int) -> list[Values]:
@@ -61,12 +57,10 @@ class PatternTables:
         return images[::-1] if len(images) == 2 else images
 
     def pattern_bytes(self, count: int) -> bytes:
-        """Return the pattern table as it is read back."""
         zero = ENTRY.unpack(bytes(3))
         return b"".join(ENTRY.pack(self.patterns.get(i, zero)) for i in range(min(count, MAX_ENTRIES)))
 
     def image_bytes(self, count: int) -> bytes:
-        """Return the image table as it is read back."""
         return bytes(self.images.get(i, 0) for i in range(count))
 
 

@@ -101,17 +101,14 @@ class EmulatedDevice:
         self._order = count()
 
     def open_path(self, path: bytes) -> None:
-        """Open the interface that takes commands."""
         if not self._hid.is_plugged or path != f"emulated:{INTERFACE}".encode():
             raise OSError("open failed")
         self._plug = self._hid.plugs
 
     def close(self) -> None:
-        """Close the device."""
         self._plug = None
 
     def write(self, buff: bytes) -> int:
-        """Send a report."""
         if not self._is_alive():
             return -1
         if len(buff) != REPORT_BYTES + 1 or buff[0]:
@@ -120,7 +117,6 @@ class EmulatedDevice:
         return len(buff)
 
     def read(self, max_length: int, timeout_ms: int = 0) -> list[int]:
-        """Read the next report."""
         if timeout_ms <= 0:
             raise ValueError("hidapi would wait without limit")
         if not self._is_alive():

@@ -85,7 +85,6 @@ def _state_messages(attachment: UsbIpAttachment) -> Iterator[None]:
 
 
 def describe_state(controller: Dlpc350) -> str:
-    """Describe what the projector does at this moment."""
     if isinstance(controller, FlashedDlpc350) and controller.loader is not None:
         return "boot loader: its flash can be written, it shows nothing"
     if controller.is_asleep():

@@ -22,7 +22,6 @@ def validate_sequence(
     vsync_us: float | None,
     accepts_gap: bool,
 ) -> Values:
-    """Return what the controller objects to in a sequence."""
     # times_us (int, int) µs; counts (int, int)
     return {
         "exposure_invalid": int(

@@ -40,7 +40,6 @@ class Motion:
         return self.began_s + self.ramp.duration_s
 
     def position_mm(self, now: float) -> float:
-        """Return the machine position at a time."""
         if now >= self.ends_s:
             return self.target_mm
         share = self.ramp.travelled_mm(now - self.began_s) / self.ramp.distance_mm
@@ -71,7 +70,6 @@ class Drive:
 
     @property
     def switch_pressed(self) -> bool:
-        """Whether the home switch is closed."""
         return self.switch_sticks or (self.switch_works and self.carriage_mm <= 0.0)
 
     def forget_position(self) -> None:
@@ -121,7 +119,6 @@ class Drive:
         return self.switch_pressed and not was_pressed
 
     def speed_mm_s(self, now: float) -> float:
-        """Return the present speed."""
         return self.motion.ramp.speed_mm_s(now - self.motion.began_s) if self.motion else 0.0
 
     def homing_cycle(self) -> tuple[float, float, int | None]:

@@ -46,7 +46,6 @@ class Block:
 
 
 def read_block(line: str) -> Block:
-    """Split a line into words."""
     commands: set[float] = set()
     values: dict[str, float] = {}
     position = 0

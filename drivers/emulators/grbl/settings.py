@@ -23,7 +23,6 @@ class GrblSettings(dict[int, float]):
         ]
 
     def flag(self, number: int) -> bool:
-        """Return whether a setting is on."""
         return bool(self[number])
 
     def homes_down(self, axis: int) -> bool:

@@ -54,7 +54,6 @@ class BallBar(Artefact):
         return (FeatureLength("distance between sphere centres", first, second, self.spacing),)
 
     def mesh(self) -> trimesh.Trimesh:
-        """Build the surface of the body."""
         from manifold3d import Manifold
 
         from fpplab.artefacts.solids import to_trimesh

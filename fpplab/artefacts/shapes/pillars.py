@@ -71,7 +71,6 @@ class Pillars(Artefact):
         )
 
     def mesh(self) -> trimesh.Trimesh:
-        """Build the surface of the body."""
         x, y = self._borders
         parts = _plate_sides(x, y, self.thickness)
         for i, diameter in enumerate(self.diameters):

@@ -57,7 +57,6 @@ class Pyramid(Artefact):
         return (*(FeatureLength(n, corners[i], corners[j], true) for n, i, j, true in ways), height)
 
     def mesh(self) -> trimesh.Trimesh:
-        """Build the surface of the body."""
         loops = self._loops()
         walls = [strip_triangles(low, high) for low, high in pairwise(loops)]
         return closed_body([fan_triangles(loops[0][::-1]), *walls, fan_triangles(loops[-1])])

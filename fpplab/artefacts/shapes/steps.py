@@ -35,7 +35,6 @@ class Staircase(Artefact):
     heights: tuple[float, ...] = (5.0, 10.0, 15.0, 20.0, 25.0)  # heights of the treads above the base
 
     def check_lengths(self) -> None:
-        """Check that the heights increase."""
         if any(high <= low for low, high in pairwise(self.heights)):
             raise ConfigError(
                 f"{type(self).__name__}.heights: {self.heights} must rise from each tread to the next"
@@ -63,7 +62,6 @@ class Staircase(Artefact):
         return np.linspace(-0.5, 0.5, len(self.heights) + 1) * self.footprint[0]
 
     def mesh(self) -> trimesh.Trimesh:
-        """Build the surface of the body."""
         x, half = self._edges, self.footprint[1] / 2
         floors, parts = (0.0, *self.heights[:-1]), []
         outline = [(edge, 0.0) for edge in x] + [(x[-1], self.heights[-1])]

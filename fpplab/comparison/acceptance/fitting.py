@@ -118,5 +118,4 @@ def fit_without_worst(
 
 
 def peak_to_peak(values: Floats) -> float:
-    """Compute the greatest value minus the least."""
     return float(values.max() - values.min())

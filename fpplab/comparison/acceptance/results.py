@@ -173,7 +173,6 @@ class AcceptanceJudgement:
         )
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures of this quantity."""
         return {
             "worst_um": self.worst_um,
             "worst_all_um": self.worst_all_um,

@@ -87,7 +87,6 @@ def normals_of(cloud: Cloud) -> Floats:
 
 
 def find_spheres(points: Floats, normals: Floats, radius: float, count: int, source: str) -> list[Floats]:
-    """Find the centres of spheres of known radius."""
     # Each point votes for the place one radius behind it along its normal; the votes of a sphere meet in its
     # centre, those of anything else are scattered. The centre is then fitted robustly to the points near the
     # sphere.
@@ -218,7 +217,6 @@ def _not_found(source: str, radius: float, centres_found: int, count: int) -> st
 
 
 def find_plane(points: Floats, length: float, source: str) -> Plane:
-    """Find the plane with the most points near it."""
     # By random samples of three points (RANSAC), then fitted to the points near it.
     # points (N, 3) mm
     random = np.random.default_rng(0)

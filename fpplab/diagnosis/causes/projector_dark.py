@@ -29,7 +29,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    """The modulation of the widest fringes."""
     from fpplab.diagnosis.pictures import draw_sample_map
 
     sample = evidence.frames

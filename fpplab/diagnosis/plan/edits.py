@@ -30,7 +30,6 @@ class Edit:
     sets: Sets  # the fringe sets of the plan that is right then
 
     def plan(self, stated: Plan) -> Plan:
-        """Give the whole plan."""
         return stated.model_copy(update={"fringes": self.sets})
 
 
@@ -53,7 +52,6 @@ def neighbouring_edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
 
 
 def finest_of(sets: Sets) -> int:
-    """Find the set with most stripes."""
     return max(range(len(sets)), key=lambda k: sets[k].stripes)
 
 
@@ -194,7 +192,6 @@ def _stripes_near(
 def refined_stripes(
     sets: Sequence[Sinusoid], along: Sequence[int], k: int, approximate_stripes: float, sample: PhaseSample
 ) -> float:
-    """Measure the stripes of a set by the positions that coarser sets give."""
     others = [j for j in along if j != k and sets[j].stripes < approximate_stripes]
     position = unwrap_finest(sets, others, sample) / sets[max(others, key=lambda j: sets[j].stripes)].stripes
     phase = phases_of(sets, sample)[k]
@@ -246,7 +243,6 @@ def _with_origins_too(edit: Edit, sample: PhaseSample) -> Iterator[Edit]:
 
 
 def with_origins(sets: Sets, sample: PhaseSample) -> Sets:
-    """Give each set the phase origin with which it continues the coarser ones of its axis."""
     edited = list(sets)
     for axis in AXES:
         along = indices_along(sets, axis)
@@ -270,7 +266,6 @@ def phases_of(sets: Sequence[Sinusoid], sample: PhaseSample) -> Floats:
 
 
 def unwrap_finest(sets: Sequence[Sinusoid], along: Sequence[int], sample: PhaseSample) -> Floats:
-    """Unwrap the finest of some sets by the coarser ones."""
     # returns (P,) rad
     ranked = sorted(along, key=lambda k: sets[k].stripes)
     phases = phases_of(sets, sample)
@@ -345,7 +340,6 @@ def _name_sets(sets: Sets, set_indices: Sequence[int]) -> str:
 def _text_to_write_in_sets(
     sets: Sets, set_indices: Sequence[int], key: str, value: Callable[[int], object]
 ) -> str:
-    """Say what to write in which sets."""
     by_value: dict[str, list[int]] = {}
     for k in set_indices:
         by_value.setdefault(str(value(k)), []).append(k)

@@ -86,7 +86,6 @@ def _is_certain(kind: str | None, k: int, two_sided: Sequence[bool]) -> bool:
 
 
 def _has_other_neighbour(kinds: Sequence[str | None], k: int) -> bool:
-    """Whether a neighbour is of another kind."""
     # Of wide fringes on a small part one image may be all dark or bright, but never two neighbours.
     return any(kinds[n] not in (None, kinds[k]) for n in (k - 1, k + 1) if 0 <= n < len(kinds))
 
@@ -101,7 +100,6 @@ def _by_description(kinds: Sequence[str | None]) -> dict[str, list[int]]:
 
 
 def _runs_of_successive_numbers(numbers: Sequence[int]) -> list[tuple[int, int]]:
-    """First and last of each run of successive numbers."""
     runs = [list(run) for _, run in groupby(enumerate(numbers), key=lambda pair: pair[1] - pair[0])]
     return [(run[0][1], run[-1][1]) for run in runs]
 

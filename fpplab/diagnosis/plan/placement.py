@@ -31,7 +31,6 @@ class Placement:
     epipolar_px: float | None  # systematic distance from the epipolar lines; None with one axis
 
     def fits(self, limits: PlanCheckLimits) -> bool:
-        """Whether nothing speaks against it."""
         is_forward = self.alignment >= limits.min_alignment
         is_possible = is_forward and self.possible_share >= limits.min_possible_share
         return is_possible and not (self.epipolar_px or 0.0) > limits.max_epipolar_px
@@ -46,7 +45,6 @@ class PlacedSample:
     gradients: dict[Axis, Floats]  # (P, 2) a measure of the change to the right and down
 
     def placement(self, calibration: Calibration, turn: Turn, depth: DepthRange | None) -> Placement:
-        """Compare them with a calibration."""
         # To the right and down as in the images.
         expected = expected_change(calibration) @ turn
         alignment = min(

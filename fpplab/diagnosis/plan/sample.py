@@ -109,7 +109,6 @@ def _coherence(
 
 
 def wrapped(phase: Floats) -> Floats:
-    """Bring phases into [-π, π)."""
     return np.asarray((phase + np.pi) % TWO_PI - np.pi)
 
 
@@ -138,12 +137,10 @@ class Direction:
         return abs(self.right) >= abs(self.down)
 
     def way(self, level: bool) -> Literal[1, -1]:
-        """Tell whether the phase rises or falls."""
         return 1 if (self.right if level else self.down) > 0 else -1
 
 
 def gradient_directions(sample: PhaseSample, reference: int) -> list[Direction]:
-    """Compare the gradients of all sets with those of one."""
     u, v = sample.gradients[reference].T
     square = np.maximum(u * u + v * v, 1e-12)
     compared = []

@@ -35,7 +35,6 @@ class Coordinate(SearchMethod):
     """Length of the last moves, as a share of a parameter's range."""
 
     def search(self, runner: CandidateRunner) -> str:
-        """Search along all parameters from the start."""
         return coordinate_search(runner, self)
 
 
@@ -46,7 +45,6 @@ def coordinate_search(
     parameter_indices: Sequence[int] | None = None,
     rank: Callable[[MeasuredCandidate], Rank] | None = None,
 ) -> str:
-    """Search along some parameters from a candidate that was measured."""
     current, rank = begin or runner.start, rank or runner.ranking.rank
     places = range(len(runner.space.parameters)) if parameter_indices is None else parameter_indices
     length = settings.first

@@ -54,7 +54,6 @@ class Gradient(SearchMethod):
     """Epochs over which the improvement is judged."""
 
     def search(self, runner: CandidateRunner) -> str:
-        """Descend from the start."""
         current = runner.start
         lowest = [_penalised_objective(runner, current)]
         while True:

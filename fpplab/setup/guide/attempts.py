@@ -98,7 +98,6 @@ def in_um(length_mm: float | None) -> float | None:
 
 
 def accepted_sentence(number: int, attempt: PoseAttempt, until_mm: float | None) -> str:
-    """Describe a pose that counts."""
     parts = [f"pose {number}: {attempt.points} points"]
     if attempt.rms_px:
         parts.append(_residuals_text(attempt))

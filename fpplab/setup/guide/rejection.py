@@ -27,7 +27,6 @@ TRANSIENT_CAUSES = {
 
 
 def frame_findings(recording: Recording) -> tuple[Finding, ...]:
-    """Look for what is wrong with the frames of a pose."""
     return tuple(finding for finding in diagnose_frames(recording) if finding.cause in TRANSIENT_CAUSES)
 
 
@@ -46,7 +45,6 @@ def inconsistent_pose(reason: str) -> Finding:
 
 
 def residual_finding(fit: PoseFit | None) -> Finding | None:
-    """Judge the residuals of a pose."""
     # Where the camera's are as predicted and the projector's are not, the board has moved between the image
     # in which it is found and the fringes.
     if fit is None or not fit.contradicting_devices:

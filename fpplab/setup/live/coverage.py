@@ -47,7 +47,6 @@ class BoardCoverage:
         self._next = self._lacking()
 
     def add(self, session: Session) -> str:
-        """Find the board in the frames of a pose, and count it."""
         name = session.path.name
         try:
             decoded = decode_session(session)
@@ -73,7 +72,6 @@ class BoardCoverage:
         return advise_by_coverage(self._observations, self.target, self.camera_size, self.projector_size)
 
     def summary(self) -> dict[str, object]:
-        """Collect what is shown."""
         return {
             "poses": len(self.sessions),
             "camera": _ninths([o.camera_px for o in self._observations], self.camera_size),

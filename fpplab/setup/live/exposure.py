@@ -108,7 +108,6 @@ class ExposureAdvice:
     is_right: bool  # whether the present exposure needs no change
 
     def summary(self) -> dict[str, object]:
-        """Collect what is shown."""
         return {
             "exposure_s": self.exposure_s,
             "gain_db": self.gain_db,
@@ -119,7 +118,6 @@ class ExposureAdvice:
 
 
 def levels_of_fringes(sample: FrameSample, black: float = 0.0) -> LightLevels | None:
-    """Measure the light of a cycle of fringes."""
     if not sample.lit.any():
         return None
     peaks, widest = sample.spread.max(axis=0)[sample.lit] / 255.0, sample.widest
@@ -139,7 +137,6 @@ def levels_of_image(image: Image, bits: int, black: float = 0.0) -> LightLevels:
 
 
 def advise_exposure(levels: LightLevels, now: CameraSettings, limits: ExposureLimits) -> ExposureAdvice:
-    """Propose exposure and gain."""
     above = max(levels.peak - levels.black, GOALS.min_above_black)
     factor = GOALS.saturated_factor if levels.is_saturated else (GOALS.peak - levels.black) / above
     light = now.exposure_s * _of_gain(now.gain_db) * factor

@@ -86,7 +86,6 @@ class FocusTracker:
     best_whole: float | None = None  # the greatest of the whole image
 
     def after(self, measure: FocusMeasure) -> FocusTracker:
-        """Take another measure."""
         values = [value for value in (measure.whole, self.best_whole) if value is not None]
         return FocusTracker(measure, np.fmax(self.best, measure.regions), max(values, default=None))
 
@@ -105,7 +104,6 @@ class FocusTracker:
         return self.now.whole / self.best_whole if self.now.whole is not None and self.best_whole else None
 
     def summary(self) -> dict[str, object]:
-        """Collect what is shown."""
         share = self.share
         shares = [[None if np.isnan(x) else round(float(x), 3) for x in row] for row in self.shares]
         return {

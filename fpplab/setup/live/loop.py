@@ -57,7 +57,6 @@ class LiveObserver(Protocol):
     def __call__(
         self, status: LiveStatus, frame: Frame | None, pattern: Pattern | None, dark: Mask | None
     ) -> bool:
-        """Show a snapshot."""
         # dark (height, width)
         ...
 
@@ -101,7 +100,6 @@ class LiveSetUp:
 
     @property
     def status(self) -> LiveStatus:
-        """The latest snapshot."""
         measures = self._measures
         first, last = (self._times[0], self._times[-1]) if self._times else (0.0, 0.0)
         return LiveStatus(

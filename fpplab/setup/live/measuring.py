@@ -43,7 +43,6 @@ class LiveMeasures:
             self.findings = ()
 
     def add(self, frame: Frame) -> bool:
-        """Take a frame of the view, in turn."""
         if self._view is View.MEASURE:
             return self._add_to_cycle(frame)
         previous, self._images = self._images[-1:], [frame.image]
@@ -57,7 +56,6 @@ class LiveMeasures:
         return True
 
     def forget_focus(self) -> None:
-        """Forget the best focus so far."""
         self.camera_focus = self.camera_focus.forgotten()
         self.projector_focus = self.projector_focus.forgotten()
 

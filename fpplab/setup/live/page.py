@@ -58,7 +58,6 @@ class SetUpPage:
 
     @property
     def is_opened(self) -> bool:
-        """Whether the page has been opened."""
         return self._opened
 
     @property
@@ -67,13 +66,11 @@ class SetUpPage:
         return self._left_s is not None and time.monotonic() - self._left_s > RELOAD_S
 
     def show(self, status: LiveStatus) -> None:
-        """Give the page a new state."""
         self._state = json.dumps(status.summary()).encode()
 
     def answer(
         self, method: str, path: str, host: str, origin: str | None, body: bytes
     ) -> tuple[int, str, bytes]:
-        """Answer a request."""
         if host not in (self.host, self.host.replace(LOCAL, "localhost")):
             return _refused(HTTPStatus.FORBIDDEN, "this page is for this computer alone")
         _, token, *rest = (*path.split("/"), "", "")
@@ -111,7 +108,6 @@ class SetUpPage:
         return text.replace("{{given}}", content).encode()
 
     def headers(self) -> dict[str, str]:
-        """Give the headers of every answer."""
         frame = "'none'" if self._viewer is None else "http://" + self._viewer.split("/")[2]
         policy = (
             "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "

@@ -51,7 +51,6 @@ class PatternWatch:
                 camera.configure(self.settings)
 
     def frame(self, index: int) -> Frame:
-        """Take a frame of one pattern."""
         camera, pattern = self._rig.camera, self._patterns[index]
         if index != self._shown:
             self._shown = None

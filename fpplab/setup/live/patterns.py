@@ -60,7 +60,6 @@ def live_patterns(plan: Plan, caps: ProjectorCaps) -> Iterator[LivePatterns]:
 
 
 def loaded_patterns(plan: Plan, projector: Projector) -> LivePatterns:
-    """Find the patterns that a projector can show."""
     choices = list(live_patterns(plan, projector.caps))
     for choice in choices[:-1]:
         try:

@@ -15,7 +15,6 @@ REGIONS = (4, 6)
 
 
 def region_slices(shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, int], tuple[slice, slice]]]:
-    """Divide an image."""
     # shape (height, width); returns (tuple of int, tuple of slice)
     rows, columns = (
         np.linspace(0, size, n + 1).astype(int) for size, n in zip(shape[:2], REGIONS, strict=True)

@@ -68,7 +68,6 @@ class LiveStatus:
         }
 
     def line(self) -> str:
-        """Write the snapshot in one line, for a terminal."""
         if self.paused_for:
             return f"paused: {self.paused_for} has the rig"
         if self.settings is None:
@@ -90,6 +89,5 @@ class LiveStatus:
 
 
 def overall_median(values: Floats) -> float | None:
-    """Give one figure for all regions."""
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if finite.size else None

@@ -75,7 +75,6 @@ class RigCheck:
     origin: SessionOrigin | None = None  # when and with which devices; None where one could not be opened
 
     def summary(self) -> dict[str, Any]:
-        """Give the result as plain values."""
         return {
             "ok": not self.findings,
             "findings": [finding.summary() for finding in self.findings],

@@ -13,11 +13,9 @@ slips: 6 % of the range, 2 % at a gamma of 2.2. Both its ends are brighter than 
 
 
 def marker() -> NDArray[np.int64]:
-    """Compute the grey levels of the marker."""
     # returns (12,)
     return np.asarray(np.rint(np.array(MARKER_ORDER) * 255 / (len(MARKER_ORDER) - 1)), np.int64)
 
 
 def middle_level() -> int:
-    """Give a grey level of the marker in the middle of the range."""
     return int(np.sort(marker())[len(MARKER_ORDER) // 2])

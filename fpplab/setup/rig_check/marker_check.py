@@ -88,7 +88,6 @@ class MarkerRun:
 
     @property
     def frames(self) -> int:
-        """Number of frames that came."""
         return int(np.isfinite(self.levels).sum())
 
 

@@ -28,7 +28,6 @@ def all_data() -> dict[int, Any]:
 
 @contextmanager
 def tag_new_data(owner: str) -> Iterator[None]:
-    """Tag all data that is made within."""
     before = set(all_data())
     try:
         yield

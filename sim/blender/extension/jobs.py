@@ -48,7 +48,6 @@ class Job:
         return self.folder / "stderr"
 
     def is_done(self) -> bool:
-        """Return whether the command has ended."""
         return self._process.poll() is not None
 
     def wait(self) -> None:
@@ -87,6 +86,5 @@ class Job:
 
 
 def end_all() -> None:
-    """End every command that runs."""
     for job in list(_running):
         job.close()

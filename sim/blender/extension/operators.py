@@ -112,7 +112,6 @@ class TakePicture(bpy.types.Operator):  # type: ignore[misc]
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Return whether a rig is shown."""
         return shown_preview() is not None and data.rig_scene() is not None
 
     def execute(self, context: Any) -> OperatorResult:
@@ -201,7 +200,6 @@ class RemoveRig(bpy.types.Operator):  # type: ignore[misc]
     bl_label = "Remove Rig"
 
     def execute(self, context: Any) -> OperatorResult:
-        """Remove it."""
         data.remove_all()
         forget_shown()
         return _FINISHED

@@ -17,7 +17,6 @@ class RigPanel(bpy.types.Panel):  # type: ignore[misc]
     bl_category = "fpplab"
 
     def draw(self, context: Any) -> None:
-        """Draw the panel."""
         settings, summary = settings_of(context), rig_summary()
         shown = self._box(
             settings, "Rig", "rig", "item", "pose", "axis", "stripes", "steps", "step", "baseline", "exposure"

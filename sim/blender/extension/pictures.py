@@ -10,7 +10,6 @@ NAME = "fpplab picture"
 
 
 def make_image(relative_levels: NDArray[np.float32], save_to: str) -> None:
-    """Make an image, and save it."""
     # relative_levels (height, width)
     rows, columns = relative_levels.shape
     image = bpy.data.images.new(NAME, columns, rows, is_data=True)

@@ -25,12 +25,10 @@ class ExtensionPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]
     }
 
     def draw(self, context: Any) -> None:
-        """Draw the preferences."""
         self.layout.prop(self, "interpreter")
 
 
 def interpreter_of(context: Any) -> str:
-    """Give the interpreter that the preferences name."""
     named: str = bpy.path.abspath(context.preferences.addons[ROOT].preferences.interpreter)
     if not named:
         raise JobFailedError(

@@ -27,7 +27,6 @@ def remember(preview: Preview, summary: dict[str, Any]) -> None:
 
 
 def shown_preview() -> Preview | None:
-    """Give what is shown."""
     return _shown.get("preview")
 
 
@@ -37,7 +36,6 @@ def rig_summary() -> dict[str, Any]:
 
 
 def forget_shown() -> None:
-    """Forget what was shown."""
     _shown.clear()
 
 
@@ -103,7 +101,6 @@ class RigSettings(bpy.types.PropertyGroup):  # type: ignore[misc]
 
 
 def attach_settings() -> None:
-    """Add the settings to Blender."""
     bpy.types.WindowManager.fpplab = PointerProperty(type=RigSettings)
 
 
@@ -116,5 +113,4 @@ def detach_settings() -> None:
 
 
 def settings_of(context: Any) -> Any:
-    """Give the settings."""
     return context.window_manager.fpplab

@@ -84,7 +84,6 @@ class Bands:
         return float(self.frequency[k] + 0.5 * step * (before - after) / (before - 2 * here + after))
 
     def at(self, frequency: float) -> Variances:
-        """Give the power at a frequency."""
         index = int(np.argmin(np.abs(self.frequency - frequency)))
         return Variances(self.power[:, index], self.floor[:, index], 2.0 * self.freedom)
 

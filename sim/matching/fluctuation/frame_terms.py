@@ -58,7 +58,6 @@ class FrameTerms:
     room_share: float  # share of the room's light in the mean level above black
 
     def series(self, columns: Sequence[int]) -> Series:
-        """Take some of the terms."""
         of = list(columns)
         # A fringe that the twin has elsewhere in all frames looks like a motion, but not like more light.
         measured = self.noise if columns == GAIN else self.covariance
@@ -68,7 +67,6 @@ class FrameTerms:
 
 
 def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
-    """Estimate the terms of every frame of a pose."""
     now, images, sets = twin.parameters, *_images_of_finest_sets(reference.plan)
     board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
     pixels = subsample_pixels(board, LIMITS.max_pixels)
@@ -99,7 +97,6 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
 
 
 def _images_of_finest_sets(plan: Plan) -> tuple[tuple[int, ...], NDArray[np.int64]]:
-    """Numbers (n,) and sets (n,) of the images of the finest sets."""
     finest = {plan.finest_set(axis) for axis in plan.axes}
     steps = [(n, index) for n, (index, _, _) in enumerate(plan.steps()) if index in finest]
     images, sets = zip(*steps, strict=True)

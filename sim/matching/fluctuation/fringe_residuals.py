@@ -62,7 +62,6 @@ class FringeResidual:
 def fringe_residuals(
     reference: Reference, parameters: TwinParameters, poses: Sequence[int]
 ) -> list[FringeResidual]:
-    """Fit the fringe sets of some poses."""
     return [residual for pose in poses for residual in _of_pose(reference, parameters, pose)]
 
 

@@ -17,7 +17,6 @@ MAX_BENT_MM = 0.5
 
 
 def card_pose(session: Session, calibration: Calibration, nominal: RigidTransform) -> RigidTransform:
-    """Find how a card stands."""
     # Of six numbers a plane determines three; the card is turned and moved from its nominal pose only as far
     # as these ask for.
     _, cloud = reconstruct_points(session, calibration)

@@ -15,7 +15,6 @@ from fpplab.core.geometry import Pinhole, RigidTransform, distort
 
 
 def surface_and_projector_points(pixels: Floats, calibration: Calibration, pose: RigidTransform) -> Floats:
-    """Compute what pixels see of a board."""
     # pixels (P, 2) px; returns (P, 4) mm
     points = _rays_on_board(calibration.camera.normalise(pixels), pose)
     lit = calibration.projector.project(points, calibration.T_projector_camera)

@@ -36,7 +36,6 @@ from sim.twin import Twin
 
 
 def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan]) -> Discrepancy:
-    """Compare bench and twin where both are known."""
     fitted = set(reference.spread_poses(SAMPLED_POSES))
     others = [pose for pose in range(len(reference.sessions)) if pose not in fitted]
     judged = others or sorted(fitted)
@@ -145,7 +144,6 @@ def _finest_contrast_deviation(
 def scan_figures(
     reference: Reference, twin: Twin, scan: BenchScan
 ) -> tuple[MeasuredFigures, MeasuredFigures]:
-    """Compute the figures of a scan on the bench, and of such scans on the twin."""
     placed = placed_part(twin, scan)
     real = measured_figures(scan.session, reference.characterisation.calibration, placed)
     session, calibration = scan.session, twin.parameters.calibration

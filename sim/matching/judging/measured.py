@@ -28,7 +28,6 @@ from sim.prediction.form import distance_factors
 
 
 def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.Trimesh) -> MeasuredFigures:
-    """Compute the figures of a scan."""
     points = reconstruct_points(session, calibration)
     return _figures(points, calibration, mesh, session.plan, session.depth)[0]
 

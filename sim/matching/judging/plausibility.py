@@ -111,7 +111,6 @@ def check_geometry(measured: Calibration, nominal: Calibration, refusals: Refusa
 
 
 def check_response(response: Response, sessions: Sequence[Session], refusals: Refusals) -> None:
-    """Refuse a response that is not that of the recordings."""
     # The fringes on the board are bent by the response: the second harmonic of the widest set of at least
     # four images shows it without any twin.
     plan = sessions[0].plan

@@ -49,7 +49,6 @@ RUINOUS = {
 
 
 def diagnose_matching(figures: MatchingFigures) -> Diagnosis:
-    """Judge a matched twin."""
     recorded = diagnose_poses(_recordings(figures.reference.sessions), (), {}).findings
     ruinous = {cause: excess for cause, excess in RUINOUS.items() if cause not in figures.accepted}
     unknown = [] if figures.artefacts else ["artefact_misfit: no --scan of an artefact was given"]

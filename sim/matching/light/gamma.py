@@ -134,7 +134,6 @@ class GreyCard:
     response: Response  # measured on the bench; names the regions
 
     def with_parameters(self, parameters: TwinParameters) -> GreyCard:
-        """Put a twin with other parameters in front of the card."""
         return replace(self, twin=self.twin.with_parameters(parameters))
 
     def levels(self, shown: Floats) -> Floats:

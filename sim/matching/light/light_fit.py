@@ -36,12 +36,10 @@ LIMITS = LightFitLimits()
 
 
 def light_residuals(reference: Reference, twin: Twin, samples: Sequence[LightSample]) -> Floats:
-    """Compute the residuals of a twin."""
     return np.concatenate([sample.residual(reference, twin) for sample in samples])
 
 
 def mean_square_difference(reference: Reference, twin: Twin, samples: Sequence[LightSample]) -> float:
-    """Compute the mean square of the residuals."""
     return float(np.mean(light_residuals(reference, twin, samples) ** 2))
 
 

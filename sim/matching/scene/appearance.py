@@ -56,11 +56,9 @@ class AppearanceTrial:
 
     @property
     def accepted(self) -> bool:
-        """Whether the twin has any of it."""
         return self.sheet.accepted or self.surroundings.accepted
 
     def summary(self) -> dict[str, Any]:
-        """Give plain values."""
         sheet, around = self.appearance.sheet, self.appearance.surroundings
         return {
             "pose": self.pose,

@@ -122,7 +122,6 @@ def placed_part(twin: Twin, scan: BenchScan) -> trimesh.Trimesh:
 
 
 def part_surface_seen(twin: Twin, scan: BenchScan, pixels: PixelIndices) -> tuple[Floats, Floats]:
-    """Trace the rays of pixels to the surface of a part."""
     # returns (P, 3) mm
     shape, rays = RayTracedShape(placed_part(twin, scan)), camera_rays(twin.parameters.calibration.camera)
     directions = rays[pixels] / np.linalg.norm(rays[pixels], axis=1, keepdims=True)
@@ -184,7 +183,6 @@ def compare_artefacts(
     twin_calibration: Calibration,
     progress: Progress = no_progress,
 ) -> list[ArtefactComparison]:
-    """Scan artefacts with the twin and compare its errors with those of recorded scans."""
     comparisons = []
     for number, scan in enumerate(scans, 1):
         own = _scan_item(twin, scan.item, scan.session, scan.T_camera_item, twin_calibration)

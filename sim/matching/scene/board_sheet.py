@@ -67,7 +67,6 @@ class _Compared:
 def find_sheet(
     reference: Reference, twin: Twin, poses: Sequence[int], progress: Progress = no_progress
 ) -> BoardSheet:
-    """Find the sheet of the board."""
     reach = LIMITS.reach * min(reference.target.size_mm)
     wide = twin.with_appearance(Appearance(BoardSheet((reach, reach, reach, reach))))
     compared = _compare_all(reference, wide, poses, progress)

@@ -62,7 +62,6 @@ class SurfaceMatch:
     saturated: float  # share of the compared levels that are saturated on the bench
 
     def summary(self) -> dict[str, Any]:
-        """Give plain values."""
         return {
             "item": self.scan.item,
             **self.surface.summary(),
@@ -85,7 +84,6 @@ def with_surfaces(parameters: TwinParameters, matches: Sequence[SurfaceMatch]) -
 
 
 def match_surface(twin: Twin, scan: BenchScan) -> SurfaceMatch:
-    """Estimate the surface of a part."""
     view = _View(twin, scan)
     own = view.remaining(view.own)
     matt = view.fitted(view.component(PartSurface(1.0))[:, None])
@@ -210,7 +208,6 @@ class _View:
         return self._fit(np.ones(1), levels[:, None])
 
     def fitted(self, columns: Floats) -> _Fit:
-        """Fit non-negative coefficients robustly."""
         keep, weight = ~self.clipped, self.precision
         for _ in range(LIMITS.rounds):
             root = np.sqrt(weight[keep])

@@ -63,7 +63,6 @@ def rebuild_surroundings(
     poses: Sequence[int],
     progress: Progress = no_progress,
 ) -> BenchSurroundings | None:
-    """Rebuild what stands around the board."""
     depths = _median_depths(reference, twin, sheet, poses, lambda share: progress(0.6 * share))
     camera = twin.parameters.calibration.camera
     depths = _smooth_depths(depths)
@@ -257,7 +256,6 @@ def _pixels_on_board_or_frame(reference: Reference, twin: Twin, sheet: BoardShee
 
 
 def sheet_outline(target: Target, sheet: BoardSheet, beyond_mm: float) -> tuple[Floats, Floats]:
-    """Give the corners of a sheet with a margin."""
     # returns (2,) mm
     left, top, right, bottom = sheet.margins_mm
     half = 0.5 * np.array(target.size_mm)
