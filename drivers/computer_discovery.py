@@ -11,10 +11,8 @@ from fpplab.devices.discovery import FoundDevice, FoundDevices
 
 VIDEO_CLASS, VIDEO_NODES = Path("/sys/class/video4linux"), Path("/dev")
 """Where Linux lists video devices, and their nodes."""
-GENTL_DRIVER = "gentl"
-"""Driver of their cameras, as rig files name it."""
-PRODUCER_PATH = "GENICAM_GENTL64_PATH"
-"""Environment variable that lists the folders of GenTL producers."""
+GENTL_DRIVER = "gentl"  # driver of their cameras, as rig files name it
+PRODUCER_PATH = "GENICAM_GENTL64_PATH"  # environment variable that lists the folders of GenTL producers
 
 
 def displays() -> FoundDevices:

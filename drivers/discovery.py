@@ -18,10 +18,8 @@ from drivers.dlp4500.transport import PRODUCT, VENDOR
 from fpplab.core.extras import MissingExtraError, missing_extra
 from fpplab.devices.discovery import FoundDevice, FoundDevices
 
-LIGHTCRAFTER_DRIVER = "dlp4500"
-"""Its driver, as rig files name it."""
-BASLER_VENDOR = 0x2676
-"""USB vendor id of Basler (the USB-IF's list)."""
+LIGHTCRAFTER_DRIVER = "dlp4500"  # its driver, as rig files name it
+BASLER_VENDOR = 0x2676  # USB vendor id of Basler (the USB-IF's list)
 SERIAL_ADAPTERS = {
     (0x2341, 0x0043): "Arduino Uno",
     (0x2341, 0x0042): "Arduino Mega",
@@ -39,8 +37,7 @@ SPEEDS = {
     5: "USB 3, 10 Gbit/s",
 }
 """Descriptions of libusb's speed numbers (`enum libusb_speed`)."""
-BENCH = "rig_bench.yaml"
-"""Rig file that comes with fpplab, of a bench of these devices."""
+BENCH = "rig_bench.yaml"  # rig file that comes with fpplab, of a bench of these devices
 RULES = "copy the udev rules of docs/hardware.md, and plug it in again"
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-NO_MARGINS = 0.0, 0.0, 0.0, 0.0
-"""Of a board that ends where its target does."""
+NO_MARGINS = 0.0, 0.0, 0.0, 0.0  # of a board that ends where its target does
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,8 +30,7 @@ from sim.twin import Twin
 from sim.worker import START_S, Blender
 from sim.world import Binning, Subpixels, World
 
-UNNAMED = "world: "
-"""What begins a refusal by a module that does not know the world's file."""
+UNNAMED = "world: "  # what begins a refusal by a module that does not know the world's file
 
 
 class VirtualBenchOptions(Document):

@@ -14,8 +14,7 @@ from sim.scene import Aperture, Lamp, PinholeOptics, RenderScene, Surface
 from sim.texture import MirrorTexture
 from sim.world import World
 
-NOTHING = "nothing"
-"""What the empty fixture holds."""
+NOTHING = "nothing"  # what the empty fixture holds
 CIRCLE_STEP_TEXELS, CIRCLE_RATIO = 0.75, 1.3
 """Spacing of the circles of confusion that textures are made for: texels, or this factor if more."""
 

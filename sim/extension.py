@@ -12,8 +12,7 @@ from typing import BinaryIO
 PACKAGE = Path(__file__).parent
 EXTENSION = PACKAGE / "blender" / "extension"
 
-NAME = "sim"
-"""What the package is called in the archive, whatever it is called where it was installed."""
+NAME = "sim"  # what the package is called in the archive, whatever it is called where it was installed
 
 MANIFEST = "blender_manifest.toml"
 

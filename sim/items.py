@@ -25,8 +25,7 @@ from sim.scene import Paint, Surface
 from sim.sheet import drawn_sheet, sheet_corners
 from sim.world import ArtefactItem, BoardItem, CardItem, MeshItem, PoseRules, World
 
-PRINT_PX_PER_MM = (4.0, 32.0)
-"""Least and greatest resolution of a board's picture."""
+PRINT_PX_PER_MM = (4.0, 32.0)  # least and greatest resolution of a board's picture
 
 
 def item_poses(world: World, name: str) -> tuple[RigidTransform, ...]:

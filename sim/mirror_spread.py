@@ -39,8 +39,7 @@ then weaker than 1e-4."""
 MIN_BLUR = 0.25
 """Least blur in mirrors for which `TAPS` mirrors hold all light of a place; a sharper lens shows edges."""
 
-_FREQUENCIES = np.arange(65) / 128
-"""Frequencies at which the interpolation is fitted, in periods per mirror."""
+_FREQUENCIES = np.arange(65) / 128  # frequencies at which the interpolation is fitted, in periods per mirror
 _REST, _PULL = 1e-4, 1e-7
 """Weight of frequencies above `BAND`, and of the spread's own waves, which settles what is left open."""
 _MIRRORS = np.arange(-12, 13)

@@ -31,8 +31,7 @@ from dataclasses import dataclass
 
 from scipy import constants
 
-LUMENS_PER_WATT = 683.0
-"""Luminous efficacy at the peak of V(λ), lm/W: the definition of the candela."""
+LUMENS_PER_WATT = 683.0  # luminous efficacy at the peak of V(λ), lm/W: the definition of the candela
 
 
 @dataclass(frozen=True)

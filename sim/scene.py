@@ -88,8 +88,7 @@ def matt(roughness: float = 0.0) -> BaseLayer:
     return BaseLayer("diffuse", (("roughness", roughness),))
 
 
-LAMBERTIAN = matt()
-"""The base layer that reflects equally in all directions."""
+LAMBERTIAN = matt()  # the base layer that reflects equally in all directions
 
 
 @dataclass(frozen=True)
@@ -197,8 +196,7 @@ class RenderRefused(Exception):  # noqa: N818 - the world asks for what cannot b
     """The world asks for something that cannot be rendered; one sentence says what, and what to change."""
 
 
-COLOURS = 3
-"""Channels of a picture: radiance in three colours, as Blender renders."""
+COLOURS = 3  # channels of a picture: radiance in three colours, as Blender renders
 
 DIRECT, ALBEDO, X, Y, Z = range(COLOURS, COLOURS + 5)
 CHANNELS = COLOURS + 5

@@ -16,8 +16,7 @@ from sim.items import item_poses, item_shape
 from sim.light import Light
 from sim.world import World
 
-ITEM = "item"
-"""Name of the one item of a scene."""
+ITEM = "item"  # name of the one item of a scene
 
 
 class DatasetScene(Document):

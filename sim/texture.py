@@ -29,8 +29,7 @@ from scipy.ndimage import spline_filter
 from fpplab.core.conventions import Floats, Lattice, mirror_centres
 from sim.mirror_spread import TAPS, WIDEST_CIRCLE, MirrorPointSpread, interpolation, square_to_disc_correction
 
-Texels = NDArray[np.float32]
-"""A texture (rows, columns)."""
+Texels = NDArray[np.float32]  # a texture (rows, columns)
 Part = tuple[int, int, int, int]
 """Texels (left, top, right, bottom) of a texture, the right and bottom ones excluded."""
 

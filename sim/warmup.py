@@ -36,8 +36,7 @@ from fpplab.targets import Target
 from sim.bench import VirtualBench
 from sim.prediction import predict
 
-DISTANCE_MM = 400.0
-"""Of the plane from the camera (chosen)."""
+DISTANCE_MM = 400.0  # of the plane from the camera (chosen)
 SIZE = 96, 64
 
 

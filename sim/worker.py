@@ -26,8 +26,7 @@ from fpplab.core.extras import need_extra
 from fpplab.core.system import BLENDER
 from sim.scene import RenderScene, RenderSettings, SubpixelView
 
-START_S = 120.0
-"""Longest time that Blender may take to start, in s (chosen)."""
+START_S = 120.0  # longest time that Blender may take to start, in s (chosen)
 
 
 class Blender:

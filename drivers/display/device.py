@@ -28,12 +28,9 @@ from fpplab.devices import DeviceInfo, FlashingProjector, ProjectorCaps
 from fpplab.patterns.fringes import Pattern, quantise
 
 Channel = Literal["red", "green", "blue"]
-CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
-"""Of a pixel, in the order of a frame."""
-MAX_PATTERNS = 1024
-"""Patterns that are held at once, in the computer's memory (chosen)."""
-CURVED_DEPTHS = (1, 8)
-"""Bit depths whose grey levels a curve of 8 bits still shows."""
+CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")  # of a pixel, in the order of a frame
+MAX_PATTERNS = 1024  # patterns that are held at once, in the computer's memory (chosen)
+CURVED_DEPTHS = (1, 8)  # bit depths whose grey levels a curve of 8 bits still shows
 
 Side = Annotated[int, Field(ge=16, le=16384)]
 

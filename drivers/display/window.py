@@ -24,8 +24,7 @@ from fpplab.core.extras import need_extra
 START_S, SHOW_S, STOP_S = 30.0, 5.0, 5.0
 """Time limits in s for the process to open the display, to show a frame, and to end (chosen)."""
 
-VideoFrame = NDArray[np.uint8]
-"""uint8 (height, width, 3): red, green, blue."""
+VideoFrame = NDArray[np.uint8]  # uint8 (height, width, 3): red, green, blue
 
 
 class Display(Protocol):

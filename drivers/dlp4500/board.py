@@ -19,21 +19,16 @@ from fpplab.core.errors import DeviceError, DeviceTimeoutError, ProtocolError, S
 
 LED_FULL = 255
 """Level of an LED at full current (8 bits), as the operator sets it; the wire's may be inverted."""
-PARALLEL_24_BIT = {"source": 0, "width": 1}
-"""Input source: the parallel port, 24 bits wide."""
-INTERNAL_TEST_PATTERN = {"source": 1, "width": 1}
-"""Input source: the internal test pattern."""
+PARALLEL_24_BIT = {"source": 0, "width": 1}  # input source: the parallel port, 24 bits wide
+INTERNAL_TEST_PATTERN = {"source": 1, "width": 1}  # input source: the internal test pattern
 BOARD_CHANNEL_SWAP = {"swap": 4, "port": 0}
 """Colour channels of the HDMI input of the evaluation module; others permute the patterns of a frame."""
 
 MODE_CHANGE = Polling(step_s=0.1, limit_s=2.0)
 """Of the display mode. TI's GUI asks every 0.1 s and gives up after 0.7 s; the limit is chosen longer."""
-STOPPING = Polling(step_s=0.01, limit_s=2.0)
-"""Of the sequence (chosen: TI's GUI waits without a limit)."""
-LOCKING = Polling(step_s=0.1, limit_s=1.5)
-"""Of the video signal, as in TI's GUI."""
-WAKING = Polling(step_s=0.1, limit_s=5.0)
-"""From standby: TI's GUI allows 2 s, other clients up to 5 s."""
+STOPPING = Polling(step_s=0.01, limit_s=2.0)  # of the sequence (chosen: TI's GUI waits without a limit)
+LOCKING = Polling(step_s=0.1, limit_s=1.5)  # of the video signal, as in TI's GUI
+WAKING = Polling(step_s=0.1, limit_s=5.0)  # from standby: TI's GUI allows 2 s, other clients up to 5 s
 
 
 def delay_code(us: float) -> int:

@@ -16,14 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-REPORT_BYTES = 64
-"""Size of every USB report (TI's client; the greatest at full speed, USB 2.0, 5.7.3)."""
-HEADER_BYTES = 4
-"""Size of a message's header: flags, sequence number, length."""
-FIRST_BYTES = REPORT_BYTES - HEADER_BYTES
-"""Payload bytes in the first report of a message."""
-MAX_PAYLOAD_BYTES = 512 - HEADER_BYTES
-"""Longest payload: the client's message buffer holds 512 bytes."""
+REPORT_BYTES = 64  # size of every USB report (TI's client; the greatest at full speed, USB 2.0, 5.7.3)
+HEADER_BYTES = 4  # size of a message's header: flags, sequence number, length
+FIRST_BYTES = REPORT_BYTES - HEADER_BYTES  # payload bytes in the first report of a message
+MAX_PAYLOAD_BYTES = 512 - HEADER_BYTES  # longest payload: the client's message buffer holds 512 bytes
 
 READ, REPLY_WANTED, ERROR = 0x80, 0x40, 0x20
 """Flags of a header. The error bit is set by the device only."""

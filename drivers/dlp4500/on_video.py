@@ -21,10 +21,8 @@ from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.devices import PatternLoads
 from fpplab.patterns.fringes import Pattern
 
-RGB = (1, 0, 2)
-"""Colour plane of each channel of a video frame; planes are in the order green, red, blue."""
-MAX_PATTERNS_IN_FRAME = len(pattern_numbers(1))
-"""Patterns of one bit in a frame."""
+RGB = (1, 0, 2)  # colour plane of each channel of a video frame; planes are in the order green, red, blue
+MAX_PATTERNS_IN_FRAME = len(pattern_numbers(1))  # patterns of one bit in a frame
 
 
 class OnVideo:

@@ -19,8 +19,7 @@ dlp4500 = typer.Typer(
 )
 """`fpplab dlp4500 …`."""
 
-NAME = "projector"
-"""The projector's name in errors."""
+NAME = "projector"  # the projector's name in errors
 
 ProjectorSerialOption = Annotated[
     str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")

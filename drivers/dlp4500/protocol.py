@@ -213,8 +213,7 @@ TEST_PATTERN_COLOURS = _register(
 IMAGE_LOAD_TIMING = _declare(
     Command("image load timing", 0x1A3A, _bytes("first", "count"), _record(RegisterField("ticks", 32)))
 )
-TICKS_PER_MS = 18667
-"""Unit of the image load time, as TI's client converts it."""
+TICKS_PER_MS = 18667  # unit of the image load time, as TI's client converts it
 VIDEO_SIGNAL = _read_only(
     "video signal",
     0x071C,
@@ -239,8 +238,7 @@ VIDEO_SIGNAL = _read_only(
         )
     ),
 )
-LOCKED = 2
-"""Value of `lock` in the video signal for a stable signal (TI's client)."""
+LOCKED = 2  # value of `lock` in the video signal for a stable signal (TI's client)
 GAMMA = _register("gamma", 0x1A0E, _record(RegisterField("table", 1), _gap(6), RegisterField("on", 1)))
 
 # --- LEDs
@@ -262,8 +260,7 @@ LED_DELAYS = {
 
 ZERO_DELAY_CODE, MAX_DELAY_CODE = 0xBB, 0xD5
 """Codes of a trigger delay of zero, and of the longest one that TI documents (2.787 µs)."""
-DELAY_STEP_US = 0.1072
-"""Step of a trigger delay in µs, by TI's client."""
+DELAY_STEP_US = 0.1072  # step of a trigger delay in µs, by TI's client
 TRIGGER_OUT_1 = _register(
     "trigger output 1",
     0x1A1D,
@@ -352,5 +349,4 @@ VALIDATION = _record(
 )
 VALIDATE = _declare(Command("validation", 0x1A1A, _record(_gap(8)), VALIDATION))
 
-COMMANDS: Mapping[int, Command] = _TABLE
-"""All commands by number."""
+COMMANDS: Mapping[int, Command] = _TABLE  # all commands by number

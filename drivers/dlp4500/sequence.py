@@ -26,20 +26,17 @@ from drivers.dlp4500.protocol import (
     TriggerMode,
 )
 
-SIZE = (912, 1140)
-"""Number of micromirrors (width, height)."""
+SIZE = (912, 1140)  # number of micromirrors (width, height)
 
 MIN_EXPOSURE_US = {1: 235, 2: 700, 3: 1570, 4: 1700, 5: 2000, 6: 2500, 7: 4500, 8: 8333}
 """Shortest exposure in µs by bit depth, as in TI's GUI and SDK."""
-MAX_EXPOSURE_US = 200_000_000
-"""Longest exposure in µs, the limit of TI's SDK."""
+MAX_EXPOSURE_US = 200_000_000  # longest exposure in µs, the limit of TI's SDK
 MIN_GAP_US = 231
 """Smallest difference in µs of a period and a shorter exposure.
 
 TI's GUI and SDK want more than 230 µs, a comment in its client at least 230: this satisfies both.
 """
-PRELOADED_IMAGES = 2
-"""Images that the controller buffers; loading a third takes time (TI's SDK)."""
+PRELOADED_IMAGES = 2  # images that the controller buffers; loading a third takes time (TI's SDK)
 SOLID = 24
 """Pattern number of solid black at depth 1; inverted it is white.
 

@@ -17,12 +17,9 @@ from drivers.dlp4500.layout import Command, RawBytes, RegisterLayout, Values
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError, SettingError
 from fpplab.core.logs import log_traffic
 
-VENDOR, PRODUCT = 0x0451, 0x6401
-"""USB identity of the DLPC350."""
-INTERFACE = 0
-"""The HID interface that takes commands, where the device has several (TI's client)."""
-REPLY_TIMEOUT_S = 2.0
-"""Longest wait in s for a reply, as in TI's client."""
+VENDOR, PRODUCT = 0x0451, 0x6401  # USB identity of the DLPC350
+INTERFACE = 0  # the HID interface that takes commands, where the device has several (TI's client)
+REPLY_TIMEOUT_S = 2.0  # longest wait in s for a reply, as in TI's client
 MAX_STALE_REPORTS = 64
 """Unexpected reports that are discarded before the exchange is given up (chosen: 4 KiB)."""
 

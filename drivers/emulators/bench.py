@@ -53,11 +53,9 @@ from fpplab.devices.backends import load_backend
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import NumberedFrames
 
-STAGE_SPEEDUP = 100.0
-"""Factor by which the emulated stage's time runs faster than real time (chosen)."""
+STAGE_SPEEDUP = 100.0  # factor by which the emulated stage's time runs faster than real time (chosen)
 
-FaultCount = Annotated[int, Field(ge=0)]
-"""An index or number from 0."""
+FaultCount = Annotated[int, Field(ge=0)]  # an index or number from 0
 
 
 class BenchFaults(Document):

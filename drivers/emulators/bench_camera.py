@@ -24,10 +24,8 @@ from drivers.genicam.options import EDGES
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 
-MIN_SENSOR_SIZE = (1024, 1040)
-"""Smallest sensor that pylon's emulator accepts, (width, height) in px."""
-LINE = "Line1"
-"""The camera's input to which the trigger cable leads."""
+MIN_SENSOR_SIZE = (1024, 1040)  # smallest sensor that pylon's emulator accepts, (width, height) in px
+LINE = "Line1"  # the camera's input to which the trigger cable leads
 
 ImageSource = Callable[[CameraSettings, CollectedLight], Image]
 """Renders the image of a camera with given settings from the light that its shutter collected."""

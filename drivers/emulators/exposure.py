@@ -15,8 +15,7 @@ from drivers.emulators.dlpc350 import Dlpc350, ProjectedLight
 from drivers.emulators.sensor_timing import STRICT, SensorTiming
 from fpplab.devices import CameraSettings
 
-NEVER = float("inf")
-"""Time of what never happens, in s."""
+NEVER = float("inf")  # time of what never happens, in s
 
 CollectedLight = list[tuple[ProjectedLight, float]]
 """What a shutter collected: each light and its share of the exposure time; the rest was dark."""

@@ -13,8 +13,7 @@ from fpplab.devices import CameraSettings, Projector
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern
 
-GreyImage = NDArray[np.uint8]
-"""Grey levels, uint8 (height, width)."""
+GreyImage = NDArray[np.uint8]  # grey levels, uint8 (height, width)
 MAX_LOADED_PATTERNS = 128
 """Patterns that the projector is given at once (chosen: 133 MB of a LightCrafter's size)."""
 

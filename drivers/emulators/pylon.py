@@ -41,8 +41,7 @@ from fpplab.devices import CameraSettings
 
 CAMERA_COUNT_VARIABLE = "PYLON_CAMEMU"
 """Environment variable with the number of cameras that pylon emulates; read at every enumeration."""
-READY_MS = 5000
-"""Longest time in ms that pylon's emulator is given to become ready for a trigger (chosen)."""
+READY_MS = 5000  # longest time in ms that pylon's emulator is given to become ready for a trigger (chosen)
 
 SceneSource = Callable[[CameraSettings], Image]
 """Renders the whole sensor [v, u] under given settings, in raw integers of `settings.bits`."""

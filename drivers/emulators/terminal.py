@@ -10,8 +10,7 @@ from typing import Protocol, Self
 
 from fpplab.core.errors import DeviceError
 
-POLL_S = 0.002
-"""Longest time in s between two queries of the emulated device (chosen)."""
+POLL_S = 0.002  # longest time in s between two queries of the emulated device (chosen)
 
 
 class SerialEmulator(Protocol):

@@ -17,8 +17,7 @@ from drivers.genicam.pixels import PACKED
 from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.devices import Camera, CameraCaps, CameraSettings, Trigger
 
-READY_TIMEOUT_S = 5.0
-"""Longest wait in s for a camera that reports when it is ready for a trigger (chosen)."""
+READY_TIMEOUT_S = 5.0  # longest wait in s for a camera that reports when it is ready for a trigger (chosen)
 
 
 class GenicamCamera(Camera):

@@ -14,8 +14,7 @@ from typing import Any
 from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.core.logs import log_traffic
 
-FeatureNames = tuple[str, ...]
-"""Names of one feature, in order of preference."""
+FeatureNames = tuple[str, ...]  # names of one feature, in order of preference
 
 
 class Features:

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from drivers.genicam.features import FeatureNames
 
-US_PER_S = 1e6
-"""GenICam states times in µs (Standard Features Naming Convention)."""
+US_PER_S = 1e6  # genICam states times in µs (Standard Features Naming Convention)
 
 WIDTH, HEIGHT, OFFSET_X, OFFSET_Y = ("Width",), ("Height",), ("OffsetX",), ("OffsetY",)
 PIXEL_FORMAT: FeatureNames = ("PixelFormat",)
@@ -48,8 +47,7 @@ GAMMA_ENABLE: FeatureNames = ("GammaEnable",)
 ALL_CHANNELS: tuple[FeatureNames, ...] = (("GainSelector",), ("BlackLevelSelector",))
 """Selectors of what gain and black level apply to; "All" where the camera has it."""
 
-RawSettings = tuple[tuple[FeatureNames, object], ...]
-"""Features and the values that they must have."""
+RawSettings = tuple[tuple[FeatureNames, object], ...]  # features and the values that they must have
 
 RAW: RawSettings = (
     (("SequencerMode",), "Off"),

@@ -31,8 +31,7 @@ from fpplab.core.errors import (
 )
 from fpplab.devices import CameraCaps, DeviceInfo, Frame, Trigger
 
-READY_S = 0.1
-"""Time in s after which a camera that does not report readiness counts as ready (chosen)."""
+READY_S = 0.1  # time in s after which a camera that does not report readiness counts as ready (chosen)
 WAITING = "FrameTriggerWait"
 """Value of the selector of `AcquisitionStatus` by which a camera reports that it waits for a trigger."""
 GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)

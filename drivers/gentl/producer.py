@@ -25,8 +25,7 @@ from drivers.gentl.nodes import GentlNodeMap
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError
 
-SPARE_BUFFERS = 4
-"""Buffers in addition to the frames that may wait (chosen)."""
+SPARE_BUFFERS = 4  # buffers in addition to the frames that may wait (chosen)
 FIRST_FRAME = {"U3V": 0, "GEV": 1}
 """Number of the first frame after a start, by the transport layer; that of other layers is not fixed."""
 

@@ -30,10 +30,8 @@ from fpplab.core.config import Document
 from fpplab.core.errors import ConfigError, DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
 from fpplab.devices import DeviceInfo, Stage, StageCaps
 
-FORCES_ORIGIN = "Z"
-"""Build option of a controller whose machine position is 0 where homing ends."""
-POLL_S = 0.05
-"""Interval of status queries in s (chosen)."""
+FORCES_ORIGIN = "Z"  # build option of a controller whose machine position is 0 where homing ends
+POLL_S = 0.05  # interval of status queries in s (chosen)
 HOME, AFTER_MOTION = "$H", "G4P0"
 """Lines to home, and to wait for the end of all motion.
 

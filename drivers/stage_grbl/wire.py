@@ -30,8 +30,7 @@ from drivers.stage_grbl.lines import (
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
 from fpplab.core.logs import log_traffic
 
-BAUD = 115200
-"""GRBL 1.1's baud rate (config.h)."""
+BAUD = 115200  # GRBL 1.1's baud rate (config.h)
 START_S = 5.0
 """Longest wait in s for the welcome message (chosen); an Arduino restarts when its port is opened."""
 ANSWER_S = 2.0
@@ -41,8 +40,7 @@ GRBL reports within 20 ms, but pauses for 0.5 s after an alarm and while it stor
 """
 BUILD_INFO, BUILD_OPTIONS = "$I", "[OPT:"
 """Command for the build's version and options, and the beginning of the line that names the options."""
-MAX_LINE_BYTES = 256
-"""Bytes without a line end at which the input is taken to be noise (chosen)."""
+MAX_LINE_BYTES = 256  # bytes without a line end at which the input is taken to be noise (chosen)
 
 
 class RestartedError(DeviceError):

@@ -32,8 +32,7 @@ from fpplab.core.errors import (
 )
 from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, Trigger
 
-UNIT_S = 1e-4
-"""Unit of V4L2_CID_EXPOSURE_ABSOLUTE in s (the kernel's documentation)."""
+UNIT_S = 1e-4  # unit of V4L2_CID_EXPOSURE_ABSOLUTE in s (the kernel's documentation)
 FORMATS = {"GREY": 8, "Y10 ": 10, "Y12 ": 12, "Y14 ": 14, "Y16 ": 16}
 """Bit depth of each pixel format whose values are right-justified integers."""
 

@@ -8,8 +8,7 @@ Linux, include/uapi/linux/v4l2-controls.h; USB Device Class Definition for Video
 from __future__ import annotations
 
 EXPOSURE_MODE, EXPOSURE_100_US, GAIN = 0x009A_0901, 0x009A_0902, 0x0098_0913
-MANUAL = 1
-"""Value of `EXPOSURE_MODE` (V4L2_EXPOSURE_MANUAL)."""
+MANUAL = 1  # value of `EXPOSURE_MODE` (V4L2_EXPOSURE_MANUAL)
 
 RAW: dict[int, int | None] = {
     EXPOSURE_MODE: MANUAL,

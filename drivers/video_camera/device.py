@@ -24,8 +24,7 @@ try:
 except ImportError:  # the interface is Linux's
     fcntl = None  # type: ignore[assignment]
 
-BUFFERS = 4
-"""Frames that the kernel may fill before one is taken (chosen: enough for a camera never to wait)."""
+BUFFERS = 4  # frames that the kernel may fill before one is taken (chosen: enough for a camera never to wait)
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,10 @@ from __future__ import annotations
 import ctypes
 from ctypes import Structure, c_char, c_int32, c_int64, c_uint8, c_uint32, c_uint64
 
-CAPTURE, MMAP = 1, 1
-"""V4L2_BUF_TYPE_VIDEO_CAPTURE and V4L2_MEMORY_MMAP: kind of buffer, and of its memory."""
+CAPTURE, MMAP = 1, 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE and V4L2_MEMORY_MMAP: kind of buffer, and of its memory
 IS_CAPTURE, CAN_STREAM, HAS_OWN_CAPS = 0x1, 0x0400_0000, 0x8000_0000
 """V4L2_CAP_…: bits of a device's capabilities."""
-DISABLED, READ_ONLY, INACTIVE = 0x1, 0x4, 0x10
-"""V4L2_CTRL_FLAG_…: bits of a control's flags."""
+DISABLED, READ_ONLY, INACTIVE = 0x1, 0x4, 0x10  # V4L2_CTRL_FLAG_…: bits of a control's flags
 DAMAGED, CLOCK, MONOTONIC = 0x40, 0xE000, 0x2000
 """V4L2_BUF_FLAG_…: damaged, the mask for the clock of its time, and the monotonic clock's value there."""
 

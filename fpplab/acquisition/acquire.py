@@ -28,14 +28,12 @@ from fpplab.sessions.session import Session
 
 _log = logging.getLogger(__name__)
 
-READ_TIMEOUT_S = 10.0
-"""Time in s beyond its exposure that a frame may take (chosen)."""
+READ_TIMEOUT_S = 10.0  # time in s beyond its exposure that a frame may take (chosen)
 
 NO_END_MARKER = "after the last pattern no black and then white image was seen"
 """Evidence of a slip: the black and white patterns at the end were not seen."""
 
-FrameObserver = Callable[[Frame], None]
-"""Called with each frame once it is on disk: a progress bar, a viewer."""
+FrameObserver = Callable[[Frame], None]  # called with each frame once it is on disk: a progress bar, a viewer
 
 
 def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ignore) -> None:

@@ -66,18 +66,12 @@ LINEAR, NONLINEAR = 1, 2
 class Cause(StrEnum):
     """What can have happened, at a frame where there is one."""
 
-    LATE = "late"
-    """Every frame shows the pattern before its own."""
-    EARLY = "early"
-    """Every frame shows the pattern after its own."""
-    MISSED = "missed"
-    """A trigger was missed: later frames show the pattern after their own."""
-    DOUBLED = "doubled"
-    """There was one trigger too many: later frames show the pattern before their own."""
-    FOREIGN = "foreign"
-    """One frame shows none of the patterns."""
-    SWAPPED = "swapped"
-    """Two frames show each other's pattern."""
+    LATE = "late"  # every frame shows the pattern before its own
+    EARLY = "early"  # every frame shows the pattern after its own
+    MISSED = "missed"  # a trigger was missed: later frames show the pattern after their own
+    DOUBLED = "doubled"  # there was one trigger too many: later frames show the pattern before their own
+    FOREIGN = "foreign"  # one frame shows none of the patterns
+    SWAPPED = "swapped"  # two frames show each other's pattern
 
 
 @dataclass(frozen=True)

@@ -27,20 +27,14 @@ UNKNOWN_DEAD_S = 1e-3
 class PeriodLimit(StrEnum):
     """What keeps patterns from following each other faster."""
 
-    SETTLING = "the plan's exposure and settle_s"
-    """A stepped plan, in which nothing follows by itself."""
-    EXPOSURE = "exposure and readout"
-    """The camera is ready as soon as its last row is exposed."""
-    CAMERA = "the period reported by the camera"
-    """The camera takes no trigger before."""
-    STATED = "the rig file's dead_time_s"
-    """What the camera needs beyond what it reports."""
+    SETTLING = "the plan's exposure and settle_s"  # a stepped plan, in which nothing follows by itself
+    EXPOSURE = "exposure and readout"  # the camera is ready as soon as its last row is exposed
+    CAMERA = "the period reported by the camera"  # the camera takes no trigger before
+    STATED = "the rig file's dead_time_s"  # what the camera needs beyond what it reports
     UNTOLD = "the time allowed for a camera that reports no period"
     """The camera reports nothing, and the rig file states nothing."""
-    GAP = "the projector's minimum gap"
-    """The projector needs more time between patterns than the camera."""
-    LOADS = "images that are read from the projector's flash"
-    """The next image is not there before."""
+    GAP = "the projector's minimum gap"  # the projector needs more time between patterns than the camera
+    LOADS = "images that are read from the projector's flash"  # the next image is not there before
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from fpplab.core.errors import ConfigError
 if TYPE_CHECKING:
     import trimesh
 
-Lengths = float | tuple[float, ...]
-"""A field of an artefact, in mm."""
+Lengths = float | tuple[float, ...]  # a field of an artefact, in mm
 
 
 @dataclass(frozen=True)

@@ -51,8 +51,7 @@ class Corner:
     faces: tuple[FlatFace, FlatFace, FlatFace]  # three faces, no two of them parallel
 
 
-Feature = FlatFace | SphereFace | Corner
-"""What a length is measured between."""
+Feature = FlatFace | SphereFace | Corner  # what a length is measured between
 
 
 @dataclass(frozen=True, eq=False)

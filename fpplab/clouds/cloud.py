@@ -21,14 +21,12 @@ if TYPE_CHECKING:
     import trimesh
     from matplotlib.axes import Axes
 
-CloudPoints = NDArray[np.float32]
-"""Values of every point of a cloud, (N,) or (N, 3)."""
+CloudPoints = NDArray[np.float32]  # values of every point of a cloud, (N,) or (N, 3)
 
 SIGMAS = ("sigma_noise_mm", "sigma_phase_error_mm", "sigma_calibration_mm", "sigma_form_mm")
 """Attributes of a cloud that are standard uncertainties."""
 _AXES = ("x", "y", "z")
-_PLOTTED = ("colour", "sigma_mm", *SIGMAS, "epipolar_px")
-"""Attributes of one value for each point."""
+_PLOTTED = ("colour", "sigma_mm", *SIGMAS, "epipolar_px")  # attributes of one value for each point
 
 
 @dataclass(frozen=True, eq=False)

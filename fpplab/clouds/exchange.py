@@ -151,5 +151,4 @@ _WRITERS: dict[str, Callable[[Cloud, Path], None]] = {
     ".3mf": _write_surface,
     ".csv": _write_csv,
 }
-EXPORTED = tuple(_WRITERS)
-"""Suffixes that `export_cloud` writes."""
+EXPORTED = tuple(_WRITERS)  # suffixes that `export_cloud` writes

@@ -17,8 +17,7 @@ from fpplab.clouds.surfaces import NOISE_SIGMAS, is_continuous, surface_normals
 from fpplab.core import buffers
 from fpplab.core.conventions import Floats, Map
 
-_TERMS = 6
-"""Coefficients of a polynomial of second degree in two variables."""
+_TERMS = 6  # coefficients of a polynomial of second degree in two variables
 
 GridPoints = NDArray[np.float32]
 PixelColumnsRows = NDArray[np.int32]

@@ -24,13 +24,10 @@ _TYPES = {
 }  # fmt: skip
 _NAMES = {"u1": "uchar", "i4": "int", "f4": "float", "f8": "double"}
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
-_BLOCK = 1 << 16
-"""Vertices that are written at a time (chosen)."""
+_BLOCK = 1 << 16  # vertices that are written at a time (chosen)
 
-VertexTable = NDArray[Any]
-"""A structured array, one record per vertex."""
-TextRows = list[tuple[int, list[bytes]]]
-"""The values of lines, with the numbers of the lines."""
+VertexTable = NDArray[Any]  # a structured array, one record per vertex
+TextRows = list[tuple[int, list[bytes]]]  # the values of lines, with the numbers of the lines
 
 
 def write(columns: Mapping[str, NDArray[Any]], comments: list[str], stream: BinaryIO) -> None:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from fpplab.core import buffers
 from fpplab.core.conventions import Mask
 
-_BLOCK = 4096
-"""Rows that one thread counts and copies at a time (chosen)."""
+_BLOCK = 4096  # rows that one thread counts and copies at a time (chosen)
 Runs = NDArray[np.int64]
 """First and last + 1 of neighbouring rows that are kept, and where the first of them goes, (R, 3)."""
 

@@ -21,14 +21,11 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Map
 
-STEEPEST_DEG = 80.0
-"""Greatest inclination of a surface to the image plane (chosen: as a comparison counts)."""
-NOISE_SIGMAS = 4.0
-"""Standard deviations of noise that are allowed in a step within one surface (chosen)."""
+STEEPEST_DEG = 80.0  # greatest inclination of a surface to the image plane (chosen: as a comparison counts)
+NOISE_SIGMAS = 4.0  # standard deviations of noise that are allowed in a step within one surface (chosen)
 NORMAL_REACH = 2
 """A point's normal is that of the plane through it and its eight neighbours this many px away (chosen)."""
-_PART = 512
-"""Pixels of a row whose sums are kept in the cache at a time (chosen)."""
+_PART = 512  # pixels of a row whose sums are kept in the cache at a time (chosen)
 
 _STEEPEST = np.float32(np.tan(np.radians(STEEPEST_DEG)))
 _u = np.uintp

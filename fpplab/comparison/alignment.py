@@ -26,27 +26,21 @@ from fpplab.core.robust import huber_weights, robust_spread
 class AlignmentLimits:
     """Limits of the alignment. Sizes of the mesh are the diagonal of its bounding box."""
 
-    coarse_points: int = 2_000
-    """Points that a pose is searched with. Chosen."""
-    fine_points: int = 20_000
-    """Points that the result is refined with. Chosen."""
-    coarse_rounds: int = 20
-    """Iterations of the search. Chosen."""
-    fine_rounds: int = 60
-    """Iterations of the refinement. Chosen."""
+    coarse_points: int = 2_000  # points that a pose is searched with (chosen)
+    fine_points: int = 20_000  # points that the result is refined with (chosen)
+    coarse_rounds: int = 20  # iterations of the search (chosen)
+    fine_rounds: int = 60  # iterations of the refinement (chosen)
     search_distance: float = 0.05
     """Distance, in sizes of the mesh, up to which points have full weight in the first iteration of a search
     from principal axes. Chosen."""
-    search_decay: float = 0.7
-    """Factor of that distance from one iteration to the next. Chosen."""
+    search_decay: float = 0.7  # factor of that distance from one iteration to the next (chosen)
     start_offset: float = 0.05
     """How far in front of the mesh, as the camera sees it, a cloud is first placed, in sizes of the mesh.
     Chosen."""
     converged_step: float = 1e-7
     """Motion, in rad and in sizes of the mesh, below which the iteration has converged. Chosen: a hundredth
     of a micrometre on a part of 100 mm."""
-    max_misfit: float = 0.01
-    """Mean distance, in sizes of the mesh, from which a pose is rejected. Chosen."""
+    max_misfit: float = 0.01  # mean distance, in sizes of the mesh, from which a pose is rejected (chosen)
     good_misfit: float = 3e-4
     """Mean distance, in sizes of the mesh, up to which no better pose is searched. Chosen small, since wrong
     poses of a nearly symmetric part are not far off."""

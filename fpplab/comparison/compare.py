@@ -48,13 +48,11 @@ if TYPE_CHECKING:
 class ComparisonLimits:
     """Limits of a comparison, where its caller states no others."""
 
-    density_per_mm2: float = 200.0
-    """Samples of the true surface. Chosen: their mean spacing is 0.07 mm."""
+    density_per_mm2: float = 200.0  # samples of the true surface (chosen: their mean spacing is 0.07 mm)
     max_samples: int = 2_000_000
     """Samples of the true surface, or twice the points of the cloud if that is more. Chosen: for a large part
     more samples than points cost time and show nothing more."""
-    outlier_mm: float = 1.0
-    """Distance beyond which a point is an outlier. Chosen."""
+    outlier_mm: float = 1.0  # distance beyond which a point is an outlier (chosen)
     near_mm: float = 0.5
     """Distance of the reconstructed surface up to which a place of the true surface counts as measured.
     Chosen."""

@@ -28,12 +28,9 @@ class LengthLimits:
     reach_mm: float = 1.0
     """Distance from the true feature up to which a point is taken as measured on it. Chosen as the distance
     of an outlier."""
-    min_points: int = 50
-    """Number of points on a feature. Chosen."""
-    cells_per_face: int = 6
-    """Cells along a face, within which errors correlate. Chosen."""
-    fit_rounds: int = 20
-    """Iterations of a robust fit. Chosen."""
+    min_points: int = 50  # number of points on a feature (chosen)
+    cells_per_face: int = 6  # cells along a face, within which errors correlate (chosen)
+    fit_rounds: int = 20  # iterations of a robust fit (chosen)
     min_cap_cosine: float = 0.5
     """Cosine of the angle between a sphere's normal and the direction to the camera: 60 degrees. Chosen."""
 
@@ -107,8 +104,7 @@ def _measure_length(points: Floats, camera: Floats, length: FeatureLength) -> Me
     return MeasuredLength(length.name, length.true_mm, value, None if sigma is None else 1e3 * sigma)
 
 
-Estimate = tuple[Floats, Floats]
-"""Parameters (n,) and their covariance (n, n), in mm."""
+Estimate = tuple[Floats, Floats]  # parameters (n,) and their covariance (n, n), in mm
 
 
 def _distance_of_planes(points: Floats, first: FlatFace, second: FlatFace) -> tuple[float, float] | None:

@@ -17,10 +17,8 @@ from scipy.spatial import cKDTree
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 
-RINGS = 12
-"""A search that needs more rings of cells than this is answered by the tree (chosen)."""
-_CHUNK = 4096
-"""Queries that one thread answers in sequence (chosen)."""
+RINGS = 12  # a search that needs more rings of cells than this is answered by the tree (chosen)
+_CHUNK = 4096  # queries that one thread answers in sequence (chosen)
 
 Indices = NDArray[np.int64]
 Starts = NDArray[np.int64]

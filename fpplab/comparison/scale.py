@@ -28,10 +28,8 @@ from fpplab.core.robust import cell_numbers, clustered_covariance, huber_weights
 class ScaleLimits:
     """Limits of the fit of a scale."""
 
-    points: int = 40_000
-    """Points that the scale is fitted to, drawn at random. Chosen."""
-    rounds: int = 20
-    """Iterations of the fit. Chosen."""
+    points: int = 40_000  # points that the scale is fitted to, drawn at random (chosen)
+    rounds: int = 20  # iterations of the fit (chosen)
     converged_scale: float = 1e-9
     """Change of the scale at which the fit has converged. Chosen: a thousandth of a ppm."""
     cells_across: int = 12

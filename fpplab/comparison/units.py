@@ -21,8 +21,7 @@ UNITS_MM = {"m": 1000.0, "inches": 25.4, "cm": 10.0}
 class UnitLimits:
     """Limits by which sizes are taken for those of another unit."""
 
-    min_size_mm: float = MIN_SIZE_MM
-    """Size of cloud and mesh below which they cannot be in mm."""
+    min_size_mm: float = MIN_SIZE_MM  # size of cloud and mesh below which they cannot be in mm
     max_size_ratio: float = 50.0
     """Ratio of the sizes of cloud and mesh beyond which they cannot be in the same unit. Chosen."""
     usual_size_ratio: tuple[float, float] = (0.3, 3.0)

@@ -24,16 +24,14 @@ from fpplab.core.units import readable_bytes
 class ArchiveLimits:
     """Limits of what an archive may unpack to."""
 
-    always_allowed_bytes: int = 256_000_000
-    """Bytes that any archive may unpack to. Chosen."""
+    always_allowed_bytes: int = 256_000_000  # bytes that any archive may unpack to (chosen)
     max_growth: int = 100
     """By how many times a greater one may grow. Chosen: recorded images and maps grow by less than ten."""
 
 
 LIMITS = ArchiveLimits()
 
-NUMBERS = "biuf"
-"""Kinds of arrays that are read: truth values and numbers."""
+NUMBERS = "biuf"  # kinds of arrays that are read: truth values and numbers
 
 
 def check_archive(archive: zipfile.ZipFile, size: int) -> None:

@@ -28,8 +28,7 @@ class BufferLimits:
     """Smaller arrays come from the allocator, which reuses its memory itself. Chosen."""
     max_kept_bytes: int = min(3 << 30, psutil.virtual_memory().total // 6)
     """Unused memory that is kept. Chosen: what a measurement at twenty megapixels needs."""
-    max_waste: int = 2
-    """How many times larger than needed a block may be. Chosen."""
+    max_waste: int = 2  # how many times larger than needed a block may be (chosen)
 
 
 LIMITS = BufferLimits()

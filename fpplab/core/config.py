@@ -27,10 +27,8 @@ from fpplab.core.units import corrected_number
 
 _log = logging.getLogger(__name__)
 
-MAX_TEXT_BYTES = 8_000_000
-"""Greatest size in bytes of a text file (chosen)."""
-MAX_FAULTS = 5
-"""Faults of a file that one message reports. Chosen."""
+MAX_TEXT_BYTES = 8_000_000  # greatest size in bytes of a text file (chosen)
+MAX_FAULTS = 5  # faults of a file that one message reports (chosen)
 
 
 class Document(BaseModel):
@@ -43,8 +41,7 @@ class Document(BaseModel):
 
 D = TypeVar("D", bound=Document)
 
-Positive = Annotated[float, Field(gt=0)]
-"""A number above zero."""
+Positive = Annotated[float, Field(gt=0)]  # a number above zero
 
 
 class _Dumper(yaml.SafeDumper):

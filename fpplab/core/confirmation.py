@@ -16,12 +16,9 @@ _confirmed: set[ConfirmationRequired] = set()
 class ConfirmationRequired(StrEnum):
     """Operations that need confirmation."""
 
-    ERASE_FLASH = "erase-flash"
-    """Sectors of a projector's flash memory are erased and written."""
-    LED_CURRENT = "led-current"
-    """An LED gets more current than its limit."""
-    BEYOND_SOFT_LIMITS = "beyond-soft-limits"
-    """A stage moves beyond the soft limits of the rig file."""
+    ERASE_FLASH = "erase-flash"  # sectors of a projector's flash memory are erased and written
+    LED_CURRENT = "led-current"  # an LED gets more current than its limit
+    BEYOND_SOFT_LIMITS = "beyond-soft-limits"  # a stage moves beyond the soft limits of the rig file
 
 
 def confirm_in_advance(operations: Iterable[ConfirmationRequired]) -> None:

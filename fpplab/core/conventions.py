@@ -38,15 +38,12 @@ from fpplab.core.lattice import Lattice as Lattice
 TWO_PI = 2.0 * np.pi
 
 Axis = Literal["x", "y"]
-AXES: tuple[Axis, Axis] = ("x", "y")
-"""In the order of a coordinate's components."""
+AXES: tuple[Axis, Axis] = ("x", "y")  # in the order of a coordinate's components
 
 Floats = NDArray[np.float64]
-Map = NDArray[np.float32]
-"""A per-pixel quantity of the camera, indexed [v, u], NaN where it is not known."""
+Map = NDArray[np.float32]  # a per-pixel quantity of the camera, indexed [v, u], NaN where it is not known
 Mask = NDArray[np.bool_]
-PixelIndices = tuple[NDArray[np.intp], NDArray[np.intp]]
-"""Rows and columns (P,) of some pixels of an image."""
+PixelIndices = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows and columns (P,) of some pixels of an image
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 """Raw integers of a camera or grey levels of a projector, indexed [v, u]."""
 

@@ -7,8 +7,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-DepthInterval = tuple[float, float]
-"""Least and greatest distance from the camera along its axis, in mm."""
+DepthInterval = tuple[float, float]  # least and greatest distance from the camera along its axis, in mm
 
 _Distance = Annotated[float, Field(gt=0, le=1e6)]
 

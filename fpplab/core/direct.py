@@ -18,8 +18,7 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-STAGED_BYTES = 1 << 22
-"""Bytes that are written at a time (chosen)."""
+STAGED_BYTES = 1 << 22  # bytes that are written at a time (chosen)
 
 
 class DirectWriter(io.BufferedIOBase):

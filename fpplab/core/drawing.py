@@ -22,14 +22,11 @@ from PIL import Image as Pixels
 from fpplab.core.conventions import Image, Map, full_scale
 from fpplab.core.errors import DataError
 
-HALF, FULL = 4.8, 9.6
-"""Widths in inches of figures in two columns, and of the full page."""
-MAX_COLUMNS = 1200
-"""Columns beyond which a map is subsampled before it is drawn. Chosen."""
+HALF, FULL = 4.8, 9.6  # widths in inches of figures in two columns, and of the full page
+MAX_COLUMNS = 1200  # columns beyond which a map is subsampled before it is drawn (chosen)
 UNMEASURED = "#b9bcc0"
 """Colour of what was not measured."""
-ERROR_COLOURS = "RdBu_r"
-"""Colour map of signed errors: negative is blue, positive red."""
+ERROR_COLOURS = "RdBu_r"  # colour map of signed errors: negative is blue, positive red
 INK, ACCENT, SECOND, ALARM = "#22262b", "#1f6f9f", "#c0662b", "#ff3b1f"
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",

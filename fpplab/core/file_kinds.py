@@ -26,8 +26,7 @@ WantedKind = Literal[
 ]  # fmt: skip
 """What a command may need of a file or folder."""
 
-_HEAD_BYTES = 1 << 18
-"""How much of a file is looked at (chosen): files of settings are smaller."""
+_HEAD_BYTES = 1 << 18  # how much of a file is looked at (chosen): files of settings are smaller
 
 RIG, PLAN_FILE, TARGET, WORLD = "a rig file", "a plan", "a target file", "a world file of a twin"
 CALIBRATION, RESPONSE, LIMITS = "a calibration of fpplab", "a response file", "a file of limits"

@@ -27,22 +27,16 @@ from fpplab.core.files import open_regular
 class ReadingLimits:
     """Limits of the process in which a foreign parser reads a file."""
 
-    seconds: float = 30.0
-    """Time that any file may take. Chosen."""
-    seconds_per_mb: float = 2.0
-    """Time in addition for every MB of the file. Chosen."""
-    address_bytes: int = 1_600_000_000
-    """Address space that reading any file may take. Chosen."""
-    address_per_byte: int = 40
-    """Address space in addition for every byte of the file. Chosen."""
-    stack_bytes: int = 1 << 20
-    """Stack of the thread that reads, which limits the depth of recursion. Chosen."""
+    seconds: float = 30.0  # time that any file may take (chosen)
+    seconds_per_mb: float = 2.0  # time in addition for every MB of the file (chosen)
+    address_bytes: int = 1_600_000_000  # address space that reading any file may take (chosen)
+    address_per_byte: int = 40  # address space in addition for every byte of the file (chosen)
+    stack_bytes: int = 1 << 20  # stack of the thread that reads, which limits the depth of recursion (chosen)
 
 
 LIMITS = ReadingLimits()
 
-REFUSED = 3
-"""Exit code where the parser itself refused the file (chosen): Python's own are 1 and 2."""
+REFUSED = 3  # exit code where the parser itself refused the file (chosen): Python's own are 1 and 2
 
 OPENCV_STARTS = ("%YAML", "<?xml", "{")
 """What files of OpenCV's FileStorage begin with, where they have a header."""

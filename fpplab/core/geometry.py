@@ -18,14 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from fpplab.core.conventions import Floats, Lattice, Mask
 
-DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-"""The coefficients of a lens, in OpenCV's order."""
-POLYNOMIAL = 5
-"""Number of coefficients of the polynomial model; those after them are the rational model's."""
-PIXEL_TOLERANCE = 1e-10
-"""Error in px at which the iterative inversion of the distortion ends (chosen)."""
-INVERSION_STEPS = 50
-"""Most iterations of that inversion (chosen)."""
+DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # the coefficients of a lens, in OpenCV's order
+POLYNOMIAL = 5  # number of coefficients of the polynomial model; those after them are the rational model's
+PIXEL_TOLERANCE = 1e-10  # error in px at which the iterative inversion of the distortion ends (chosen)
+INVERSION_STEPS = 50  # most iterations of that inversion (chosen)
 
 
 @dataclass(frozen=True, eq=False)

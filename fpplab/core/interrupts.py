@@ -22,17 +22,14 @@ from typing import Any
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """SIGHUP comes where the terminal, or the connection to it, is gone; Windows has none."""
-AGAIN_S = 0.02
-"""Time in s after which an interruption that came at a bad moment is tried again (chosen)."""
+AGAIN_S = 0.02  # time in s after which an interruption that came at a bad moment is tried again (chosen)
 CLOSING_S = 3.0
 """Time in s after an interruption in which others are ignored, while devices are closed (chosen)."""
-CANCELLED = 130
-"""Exit code, as shells have it of programs that SIGINT ended: 128 and the signal's number, 2."""
+CANCELLED = 130  # exit code, as shells have it of programs that SIGINT ended: 128 and the signal's number, 2
 
 _interrupted: list[tuple[float, signal.Signals]] = []
 """When this process was interrupted, by the monotonic clock, and by which signal."""
-_again: list[signal.Signals] = []
-"""The signal that is to come again."""
+_again: list[signal.Signals] = []  # the signal that is to come again
 _sending = threading.Lock()
 _held: list[signal.Signals | None] = []
 """For every `held_back` that is entered: the signal that came meanwhile."""

@@ -9,8 +9,7 @@ from pathlib import Path
 from fpplab.core.errors import DataError
 from fpplab.core.files import read_bounded, writing
 
-MAX_JOURNAL_BYTES = 256_000_000
-"""Greatest size in bytes of a journal (chosen): some 700,000 frames."""
+MAX_JOURNAL_BYTES = 256_000_000  # greatest size in bytes of a journal (chosen): some 700,000 frames
 
 
 def make_journal(path: Path) -> None:

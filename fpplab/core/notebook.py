@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-CUT = (2.0, 98.0)
-"""Percentiles of the values that are drawn black and white."""
+CUT = (2.0, 98.0)  # percentiles of the values that are drawn black and white
 
 
 def html_table(title: str, rows: Mapping[str, object], picture: bytes | None = None) -> str:

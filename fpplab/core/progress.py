@@ -7,8 +7,7 @@ from collections.abc import Callable
 Progress = Callable[[float], None]
 """Called with the share of the work that is done, 0 … 1. What it raises ends the work."""
 
-Say = Callable[[str], object]
-"""Called with a sentence for the operator."""
+Say = Callable[[str], object]  # called with a sentence for the operator
 
 
 def no_progress(share: float) -> None:

@@ -16,8 +16,7 @@ DECODED, CLOUD, CALIBRATION, REPORT, VERDICT = (
     "verdict.yaml",
 )
 """The results."""
-RECORDING = "view.rrd"
-"""What the viewer showed, in any folder of results."""
+RECORDING = "view.rrd"  # what the viewer showed, in any folder of results
 SESSION_FILES = frozenset(
     (PLAN, RIG, ORIGIN, FORMAT, LOG, JOURNAL, CHECKSUMS)
     + (DECODED, CLOUD, CALIBRATION, REPORT, VERDICT, RECORDING)

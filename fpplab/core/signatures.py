@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-HEAD_BYTES = 512
-"""How much of a file tells what it is."""
+HEAD_BYTES = 512  # how much of a file tells what it is
 
 _SIGNATURES = {
     b"%PDF": "a PDF document",

@@ -18,12 +18,9 @@ import yaml
 class YamlLimits:
     """Limits of a YAML text."""
 
-    max_characters: int = 2_000_000
-    """Length of the text. Chosen."""
-    max_nodes: int = 100_000
-    """Number of values, those that aliases repeat included. Chosen."""
-    max_depth: int = 50
-    """Number of mappings and lists inside one another. Chosen."""
+    max_characters: int = 2_000_000  # length of the text (chosen)
+    max_nodes: int = 100_000  # number of values, those that aliases repeat included (chosen)
+    max_depth: int = 50  # number of mappings and lists inside one another (chosen)
 
 
 LIMITS = YamlLimits()

@@ -22,8 +22,7 @@ BLENDER = {
 }
 """Debian packages of the libraries that Blender's module links to."""
 
-USB = {"libusb-1.0.so.0": "libusb-1.0-0"}
-"""Debian packages of the libraries that pyusb and hidapi use."""
+USB = {"libusb-1.0.so.0": "libusb-1.0-0"}  # debian packages of the libraries that pyusb and hidapi use
 
 
 def cache_directory() -> Path:

@@ -13,11 +13,9 @@ from fpplab.core.errors import DataError
 from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.core.files import open_regular, write_text
 
-Row = dict[str, Any]
-"""Values by column; None is an empty cell."""
+Row = dict[str, Any]  # values by column; None is an empty cell
 
-SUMMARY = "summary"
-"""The table of an answer's single values."""
+SUMMARY = "summary"  # the table of an answer's single values
 
 
 def write_csv(path: Path, rows: Iterable[Row]) -> None:

@@ -9,8 +9,7 @@ from fpplab.core.errors import SettingError
 from fpplab.devices.device import State
 from fpplab.devices.projector import Projector
 
-MAX_REFRESHES = 600
-"""Longest flash in refreshes of the display: 10 s at 60 Hz (chosen)."""
+MAX_REFRESHES = 600  # longest flash in refreshes of the display: 10 s at 60 Hz (chosen)
 
 
 class FlashingProjector(Projector):

@@ -41,8 +41,7 @@ Dev = TypeVar("Dev", bound=Device)
 
 _log = logging.getLogger(__name__)
 
-Mounted = tuple[str, int]
-"""An item and its pose, as a fixture names them."""
+Mounted = tuple[str, int]  # an item and its pose, as a fixture names them
 
 
 def _named(backend: str) -> str:

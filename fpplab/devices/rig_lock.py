@@ -24,16 +24,14 @@ from pathlib import Path
 from fpplab.core.errors import DeviceError
 from fpplab.core.lock import lock_owner, open_lock, try_lock, write_lock_owner
 
-TURN_TIMEOUT_S = 60.0
-"""Longest wait in s for a rig (chosen): a watcher releases the rig after one frame."""
+TURN_TIMEOUT_S = 60.0  # longest wait in s for a rig (chosen): a watcher releases the rig after one frame
 
 USER = os.getuid() if hasattr(os, "getuid") else 0
 """Whose folder it is; on Windows each user has a folder for temporary files."""
 
 _log = logging.getLogger(__name__)
 
-_watched: set[str] = set()
-"""Rigs that this very process watches: what it opens of them needs no turn."""
+_watched: set[str] = set()  # rigs that this very process watches: what it opens of them needs no turn
 
 
 class RigTurn:

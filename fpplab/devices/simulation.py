@@ -18,10 +18,8 @@ from fpplab.core.conventions import Image
 from fpplab.devices.camera import CameraSettings
 from fpplab.patterns.fringes import Pattern
 
-Rows = NDArray[np.intp]
-"""Rows of the camera's image, (R,), in rising order."""
-Columns = NDArray[np.intp]
-"""Columns of the camera's image, (C,), in rising order."""
+Rows = NDArray[np.intp]  # rows of the camera's image, (R,), in rising order
+Columns = NDArray[np.intp]  # columns of the camera's image, (C,), in rising order
 
 
 class FrameSampler(Protocol):

@@ -131,10 +131,8 @@ def edge_blur_px(sample: FrameSample) -> float | None:
 
 
 def phase_error_of_blur(sample: FrameSample, blur_px: float) -> float:
-    """Typical phase error of the finest fringes relative to its noise, by a blur of the camera's image.
-
-    A blur by σ mixes neighbours whose phase and brightness differ: the phase is off by σ² ∇φ ∇ln A.
-    """
+    """Typical phase error of the finest fringes relative to its noise, by a blur of the camera's image."""
+    # A blur by σ mixes neighbours whose phase and brightness differ: the phase is off by σ² ∇φ ∇ln A.
     finest = sample.recording.plan.finest_set()
     fit = sample.tile_fits[finest]
     lit_share = sample.limits.of(SampleLimits).min_lit_share

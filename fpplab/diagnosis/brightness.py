@@ -29,10 +29,8 @@ class BrightnessLimits(LimitsSection):
 
 
 def frame_levels(sample: FrameSample) -> Floats:
-    """Compute the brightness of each frame at the crests of its fringes, where the scene is bright.
-
-    The mean would depend on the phase, where the camera sees few stripes.
-    """
+    """Compute the brightness of each frame at the crests of its fringes, where the scene is bright."""
+    # The mean would depend on the phase, where the camera sees few stripes.
     # returns (K,)
     brightest = sample.spread.max(axis=0)
     bright = brightest >= 0.5 * np.percentile(brightest, 95)

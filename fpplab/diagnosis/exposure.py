@@ -34,11 +34,9 @@ class GreyLevelLimits(LimitsSection):
 
 
 def dimming_factor(sample: FrameSample) -> float:
-    """Estimate the factor of the exposure by which the brightest lit pixels reach their best level.
-
-    A fringe that swings from dark to p times full scale is saturated for the share s of its phases with 1/p
-    = (1 + cos πs)/2. Where all images of a pixel are saturated it is unknown by how much.
-    """
+    """Estimate the factor of the exposure by which the brightest lit pixels reach their best level."""
+    # A fringe that swings from dark to p times full scale is saturated for the share s of its phases with 1/p
+    # = (1 + cos πs)/2. Where all images of a pixel are saturated it is unknown by how much.
     limits = sample.limits.of(GreyLevelLimits)
     levels = sample.spread[:, sample.lit]
     mean = levels.mean(axis=0)

@@ -17,20 +17,13 @@ if TYPE_CHECKING:
 class DetectionStage(IntEnum):
     """What is looked at, in this order; a cause may make the figures of later stages meaningless."""
 
-    VISIBILITY = 0
-    """Whether there are fringes at all."""
-    COLOUR = 1
-    """Whether frames of all colours are as bright."""
-    FRAMES = 2
-    """Light, response and motion, which take equal frames for granted."""
-    BLUR = 3
-    """Contrast of fringes and edges."""
-    PLAN = 4
-    """Whether the plan describes the images."""
-    REFLECTIONS = 5
-    """The direction in which the coordinate runs, which a plan has to be right for."""
-    POINTS = 6
-    """The geometry of the points."""
+    VISIBILITY = 0  # whether there are fringes at all
+    COLOUR = 1  # whether frames of all colours are as bright
+    FRAMES = 2  # light, response and motion, which take equal frames for granted
+    BLUR = 3  # contrast of fringes and edges
+    PLAN = 4  # whether the plan describes the images
+    REFLECTIONS = 5  # the direction in which the coordinate runs, which a plan has to be right for
+    POINTS = 6  # the geometry of the points
 
 
 @dataclass(frozen=True)

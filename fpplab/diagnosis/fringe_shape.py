@@ -56,11 +56,9 @@ def phase_deviations(sample: FrameSample) -> Iterator[tuple[int, Floats, Floats]
 
 
 def phase_ripples(sample: FrameSample) -> Iterator[float]:
-    """Measure the phase error, N times in a period, of wider sets of as many images N as the finest.
-
-    Three images show no harmonics by themselves, and four no third one; the coordinate tells which phase each
-    wider set should have.
-    """
+    """Measure the phase error, N times in a period, of wider sets of as many images N as the finest."""
+    # Three images show no harmonics by themselves, and four no third one; the coordinate tells which phase
+    # each wider set should have.
     plan, limits = sample.recording.plan, sample.limits.of(FringeShapeLimits)
     for k, expected, deviation in phase_deviations(sample):
         fringe = plan.fringes[k]

@@ -15,12 +15,9 @@ from pydantic import Field
 
 from fpplab.core.config import Document
 
-ShareLimit = Annotated[float, Field(gt=0.0, le=1.0)]
-"""A part of a whole."""
-PercentileLimit = Annotated[float, Field(ge=0.0, le=100.0)]
-"""A percentile."""
-CountLimit = Annotated[int, Field(ge=1)]
-"""A number of things."""
+ShareLimit = Annotated[float, Field(gt=0.0, le=1.0)]  # a part of a whole
+PercentileLimit = Annotated[float, Field(ge=0.0, le=100.0)]  # a percentile
+CountLimit = Annotated[int, Field(ge=1)]  # a number of things
 
 
 class LimitsSection(Document):

@@ -34,10 +34,8 @@ from fpplab.targets import Target
 class TravelLimits:
     """Allowed deviation of the projector's measured travel from the stage's."""
 
-    max_share: float = 0.05
-    """As a share of the travel. Chosen."""
-    max_mm: float = 1.0
-    """In mm, added to the share. Chosen."""
+    max_share: float = 0.05  # as a share of the travel (chosen)
+    max_mm: float = 1.0  # in mm, added to the share (chosen)
 
 
 TRAVEL_LIMITS = TravelLimits()

@@ -33,8 +33,7 @@ class SearchEpoch:
     front: tuple[MeasuredCandidate, ...] = ()  # the Pareto front of all candidates so far
 
 
-CandidateObserver = Callable[[SearchEpoch], None]
-"""Called with every round of a search when it has ended."""
+CandidateObserver = Callable[[SearchEpoch], None]  # called with every round of a search when it has ended
 
 
 class CandidateRunner:

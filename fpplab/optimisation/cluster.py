@@ -30,10 +30,8 @@ HOW_TO = "docs/how-to/several-computers.md says how it is made"
 class SchedulingLimits:
     """Limits of a scheduler and of its workers."""
 
-    connect_timeout_s: float = 10.0
-    """Time that a scheduler may take to answer, and to have a worker. Chosen."""
-    max_worker_deaths: int = 10
-    """Workers that may die of one measurement before it is given up. Chosen."""
+    connect_timeout_s: float = 10.0  # time that a scheduler may take to answer, and to have a worker (chosen)
+    max_worker_deaths: int = 10  # workers that may die of one measurement before it is given up (chosen)
 
 
 LIMITS = SchedulingLimits()

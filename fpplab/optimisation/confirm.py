@@ -28,22 +28,18 @@ from fpplab.patterns.plan import Plan
 class ConfirmationLimits:
     """Numbers of measurements, samples and draws of a confirmation."""
 
-    repeats: int = 5
-    """Measurements of each artefact with each plan, by default. Chosen."""
-    samples: int = 100_000
-    """Pixels, and points of the true surface, that are compared. Chosen."""
+    repeats: int = 5  # measurements of each artefact with each plan, by default (chosen)
+    samples: int = 100_000  # pixels, and points of the true surface, that are compared (chosen)
     calibration_draws: int = 8
     """Calibrations drawn from the covariance. Derived: its part of the uncertainty is then known to a
     quarter."""
-    first_seed: int = 1_000_000
-    """Seed of the first repeat. Chosen beyond all seeds that a search uses."""
+    first_seed: int = 1_000_000  # seed of the first repeat (chosen beyond all seeds that a search uses)
 
 
 LIMITS = ConfirmationLimits()
 
 
-RepeatedFigures = dict[str, tuple[ArtefactFigures, ...]]
-"""Figures of every repeat by artefact."""
+RepeatedFigures = dict[str, tuple[ArtefactFigures, ...]]  # figures of every repeat by artefact
 
 
 @dataclass(frozen=True)

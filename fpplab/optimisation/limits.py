@@ -12,8 +12,7 @@ from fpplab.devices.simulation import Seeded, Turnable
 from fpplab.optimisation.candidate import Candidate
 from fpplab.patterns.fringes import Pattern
 
-BITS = Pattern.bit_depth
-"""Bit depth in which fringes are projected."""
+BITS = Pattern.bit_depth  # bit depth in which fringes are projected
 
 
 @dataclass(frozen=True)

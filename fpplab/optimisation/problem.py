@@ -17,8 +17,7 @@ from fpplab.optimisation import objectives  # noqa: F401 - defines the objective
 from fpplab.optimisation.objective import registered_objectives
 from fpplab.patterns.plan import Plan
 
-ANY_RIG = "any"
-"""Value of `SearchProblem.rig` for a study that suits any rig."""
+ANY_RIG = "any"  # value of `SearchProblem.rig` for a study that suits any rig
 
 _OBJECTIVES = registered_objectives()
 

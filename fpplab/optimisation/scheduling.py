@@ -17,10 +17,8 @@ from fpplab.optimisation import cluster
 from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.storage import ScoresOrReason
 
-Task = tuple[Candidate, int]
-"""A candidate and a seed."""
-OutcomeCallback = Callable[[int, ScoresOrReason], None]
-"""Called with the index of a task and its outcome."""
+Task = tuple[Candidate, int]  # a candidate and a seed
+OutcomeCallback = Callable[[int, ScoresOrReason], None]  # called with the index of a task and its outcome
 
 
 class EvaluatorFactory(Protocol):
@@ -77,8 +75,7 @@ class InProcessWorkers:
             self._evaluator.close()
 
 
-_opened: dict[EvaluatorFactory, Evaluator] = {}
-"""The rig that this worker process has open, by its factory."""
+_opened: dict[EvaluatorFactory, Evaluator] = {}  # the rig that this worker process has open, by its factory
 
 
 def _measure_on_worker(factory: EvaluatorFactory, candidate: Candidate, seed: int) -> ScoresOrReason:

@@ -38,18 +38,13 @@ from fpplab.phase import decode
 class ScreeningLimits:
     """Sizes of what a screening simulates."""
 
-    bands: int = 2
-    """Parts of the image for each artefact. Chosen."""
-    rows: int = 14
-    """Rows of such a part. Chosen."""
-    border: int = 3
-    """Rows and columns at each edge of a part that serve as neighbours alone. Chosen."""
-    density_per_mm2: float = 60.0
-    """Samples of the true surface. Chosen: some thousands in each part."""
+    bands: int = 2  # parts of the image for each artefact (chosen)
+    rows: int = 14  # rows of such a part (chosen)
+    border: int = 3  # rows and columns at each edge of a part that serve as neighbours alone (chosen)
+    density_per_mm2: float = 60.0  # samples of the true surface (chosen: some thousands in each part)
     max_sets: int = 8
     """Fringe sets of a candidate, by which their noise is numbered: the greatest number in study files."""
-    kept_sets: int = 32
-    """Fringe sets whose patterns are kept in memory. Chosen."""
+    kept_sets: int = 32  # fringe sets whose patterns are kept in memory (chosen)
 
 
 LIMITS = ScreeningLimits()

@@ -25,8 +25,7 @@ from fpplab.optimisation.problem import SearchProblem
 IDENTITY_FIELDS = ("artefacts", "start", "calibrations")
 """Fields of a study on which its measurements depend; they identify the journal."""
 
-ScoresOrReason = tuple[Score, ...] | str
-"""Scores of the artefacts, or why the measurement failed."""
+ScoresOrReason = tuple[Score, ...] | str  # scores of the artefacts, or why the measurement failed
 
 _candidate, _scores = TypeAdapter(Candidate), TypeAdapter(tuple[Score, ...])
 

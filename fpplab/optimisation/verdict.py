@@ -34,8 +34,7 @@ class SearchVerdictLimits:
     min_neighbour_distance: float = 0.1
     """Distance of neighbours, as a share of the ranges. Chosen: a search itself takes finer steps, whose
     figures do not differ."""
-    max_failed_share: float = 0.5
-    """Share of candidates that may fail. Chosen."""
+    max_failed_share: float = 0.5  # share of candidates that may fail (chosen)
     min_steps: int = 3
     """Steps of a phase-shifted set. Derived: it has three unknowns, so that this bound cannot be widened."""
     beyond_border: float = 0.05

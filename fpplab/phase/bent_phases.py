@@ -18,8 +18,7 @@ from fpplab.phase.limits import BENT_PHASES, COMMON_ERRORS, NOISE
 from fpplab.phase.unwrapping import WavelengthSequence
 
 _THIRD = 1.0 / 3.0
-_PHASES = TWO_PI * np.linspace(0.0, _THIRD, 65)
-"""Phases over a period of the shift at which it is computed."""
+_PHASES = TWO_PI * np.linspace(0.0, _THIRD, 65)  # phases over a period of the shift at which it is computed
 
 
 def exponent_of_phases(phases: Floats, origins_rad: Floats, sequences: Sequence[WavelengthSequence]) -> float:

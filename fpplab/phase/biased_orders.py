@@ -39,11 +39,9 @@ def mark_biased_orders(
     widest: float,
     contradiction: ContradictionOf,
 ) -> None:
-    """Mark, in `cause`, the pixels whose order a bias between the sets may have changed.
-
-    Coordinates are known too where `cause` says already that their order is in doubt; those whose `sigma` is
-    greater are left out. `period` and `widest` are those of the finest and the widest fringes in px.
-    """
+    """Mark, in `cause`, the pixels whose order a bias between the sets may have changed."""
+    # Coordinates are known too where `cause` says already that their order is in doubt; those whose `sigma`
+    # is greater are left out. `period` and `widest` are those of the finest and the widest fringes in px.
     # coordinate, sigma, cause (height, width)
     half = np.float32(0.5 * period)
     sparse = slice(None, None, LIMITS.searched_px)
@@ -102,10 +100,8 @@ def _jumps_and_gaps(coordinate: Map, period: np.float32, steps: FlatIndices) -> 
 def _borders(
     parts: FlatIndices, jumps: FlatIndices, gaps: Floats
 ) -> tuple[FlatIndices, FlatIndices, FlatIndices]:
-    """Number the border of each step; a step of each border, and its length in px, 0 where it is none.
-
-    Nearly all steps between two parts must be the same whole number of periods.
-    """
+    """Number the border of each step; a step of each border, and its length in px, 0 where it is none."""
+    # Nearly all steps between two parts must be the same whole number of periods.
     # parts (2, N) before and after each step; jumps (N,); gaps (2, N)
     is_whole = (np.abs(gaps).min(axis=0) < LIMITS.near_period) & (jumps != 0) & (parts[0] != parts[1])
     _, of_pair, steps = np.unique(parts[0] << 32 | parts[1], return_inverse=True, return_counts=True)
@@ -228,10 +224,8 @@ def _unite(leads: PartNumbers, a: np.uintp, b: np.uintp) -> np.uintp:
 def _join(
     first: FlatIndices, second: FlatIndices, jumps: FlatIndices, lengths: FlatIndices, sizes: PartNumbers
 ) -> tuple[FlatIndices, FlatIndices]:
-    """Join parts across borders, the longest first; the group and relative order of every part.
-
-    A border is long enough for a group if it is a quarter of the outline of a square of its size.
-    """
+    """Join parts across borders, the longest first; the group and relative order of every part."""
+    # A border is long enough for a group if it is a quarter of the outline of a square of its size.
     groups, orders, grown = np.arange(len(sizes)), np.zeros(len(sizes), np.int64), sizes.copy()
     for k in range(len(first)):
         a, b, jump = first[k], second[k], jumps[k]

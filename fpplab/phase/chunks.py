@@ -11,8 +11,7 @@ compiler must know distances of rows."""
 
 # Rows lie a little more than a chunk apart: at multiples of a memory page the processor
 # takes a row's element for the one it has just stored in another row, and waits.
-ROW = CHUNK + 48
-"""Distance between the rows of a working buffer."""
+ROW = CHUNK + 48  # distance between the rows of a working buffer
 
 LOW, HIGH = np.uintp(7 * ROW), np.uintp(8 * ROW)
 """Rows of the buffer of unwrapping with the interval of possible positions."""

@@ -30,8 +30,7 @@ from fpplab.phase.bent_phases import exponent_of_phases, exponent_of_second_harm
 from fpplab.phase.limits import COMMON_ERRORS, NOISE
 from fpplab.phase.unwrapping import WavelengthSequence
 
-HARMONICS = (2, 3, 4, 5)
-"""Harmonics of the response that are looked for."""
+HARMONICS = (2, 3, 4, 5)  # harmonics of the response that are looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,10 +254,8 @@ def fit_group(group: FringeGroup) -> HarmonicsFit:
 
 
 def _equations(group: FringeGroup, sums: Floats) -> tuple[Floats, Floats, Floats]:
-    """Normal equations of harmonics, gains and offsets of sets, and how great each of these may be.
-
-    `sums` are those over pixels of the products of features, images and 1, (R + N + 1, R + N + 1).
-    """
+    """Normal equations of harmonics, gains and offsets of sets, and how great each of these may be."""
+    # `sums` are those over pixels of the products of features, images and 1, (R + N + 1, R + N + 1).
     count = len(group.features)
     features, of_images, totals = sums[:count, :count], sums[count:-1, :count], sums[-1]
     members, fringe, visible = group.membership, group.fringe, group.visible.T @ group.visible
@@ -301,10 +298,8 @@ def _found(group: FringeGroup, best: Floats, covariance: Floats) -> HarmonicsFit
 
 
 def noise_power(group: FringeGroup, fit: HarmonicsFit) -> tuple[Floats, int]:
-    """Measure what noise alone leaves in each pixel.
-
-    Of sets of seven images and more, harmonics 2 and 3 are left out pixel by pixel too.
-    """
+    """Measure what noise alone leaves in each pixel."""
+    # Of sets of seven images and more, harmonics 2 and 3 are left out pixel by pixel too.
     # returns power (P,)
     return np.square(group.combine_without_common_errors(group.quiet, fit)).sum(axis=0), len(group.quiet)
 
@@ -323,10 +318,8 @@ def errors_of_sets(
     harmonics: Floats | None,
     sequences: Sequence[WavelengthSequence] = (),
 ) -> list[CommonErrors]:
-    """Compute the common errors of every set, also of those whose own images do not show them.
-
-    Those take the exponent of the response and the scatter of the lamp from the sets that show them.
-    """
+    """Compute the common errors of every set, also of those whose own images do not show them."""
+    # Those take the exponent of the response and the scatter of the lamp from the sets that show them.
     # harmonics (K,)
     bent = {
         k: exponent
@@ -356,11 +349,9 @@ def errors_of_sets(
 def _gain_sums(
     group: FringeGroup, fit: HarmonicsFit, fringes: Sequence[FringeSet]
 ) -> Iterator[tuple[int, tuple[float, float]]]:
-    """`|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of each set, less what noise makes of them.
-
-    Zero where noise alone makes as much of them once in a thousand times. Where offsets are compared, wide
-    fringes prove nothing: light from the rest of the scene changes as slowly as they do.
-    """
+    """`|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of each set, less what noise makes of them."""
+    # Zero where noise alone makes as much of them once in a thousand times. Where offsets are compared, wide
+    # fringes prove nothing: light from the rest of the scene changes as slowly as they do.
     size = len(group.images) // len(group.members)
     for place, k in enumerate(group.members):
         if len(group.members) > 1 and fringes[k].stripes < COMMON_ERRORS.min_stripes:
@@ -387,10 +378,8 @@ def _exponent(
     fringes: Sequence[FringeSet],
     sequences: Sequence[WavelengthSequence],
 ) -> tuple[float, float]:
-    """The exponent of the response and its uncertainty among groups, from what shows it best.
-
-    Harmonics of a power law are `c_2 = (g - 1)/(g + 2)` and `c_3 = c_2 (g - 2)/(g + 3)` of the fringe.
-    """
+    """The exponent of the response and its uncertainty among groups, from what shows it best."""
+    # Harmonics of a power law are `c_2 = (g - 1)/(g + 2)` and `c_3 = c_2 (g - 2)/(g + 3)` of the fringe.
     if len(group.members) == 1:
         c, u = fit.harmonics[0], fit.uncertainty[0]
         return exponent_of_second_harmonic(float(c)), float(3.0 * u / (1.0 - c) ** 2)

@@ -37,8 +37,7 @@ from fpplab.phase.reference import fuse, unwrap
 from fpplab.phase.tables import Maps, Recipe
 from fpplab.phase.unwrapping import WavelengthSequence, wavelength_sequence
 
-_BLOCK = 1 << 18
-"""Pixels that one thread decodes at a time (chosen)."""
+_BLOCK = 1 << 18  # pixels that one thread decodes at a time (chosen)
 
 
 def decode(

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Map
 from fpplab.phase.chunks import compiled
 
-_ROWS = 256
-"""Rows that one thread takes at a time (chosen)."""
+_ROWS = 256  # rows that one thread takes at a time (chosen)
 _f = np.float32
 _ZERO, _ONE = _f(0), _f(1)
 

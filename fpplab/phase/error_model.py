@@ -63,12 +63,10 @@ class ErrorModel:
 
 
 def misfit_limits(errors: CommonErrors) -> tuple[float, float, float]:
-    """When a pixel's own residuals tell its variance, and how.
-
-    The variance of a grey level by the mean square of what a fringe leaves; what this exceeds, in units of
-    the expected one; what of that is explained by gains and harmonics, over B². It is never exceeded where
-    images show nothing beside a fringe.
-    """
+    """When a pixel's own residuals tell its variance, and how."""
+    # The variance of a grey level by the mean square of what a fringe leaves; what this exceeds, in units of
+    # the expected one; what of that is explained by gains and harmonics, over B². It is never exceeded where
+    # images show nothing beside a fringe.
     freedom = errors.images - 3
     if freedom <= 0:
         return 0.0, 1.0, 0.0
@@ -115,12 +113,11 @@ def fit_errors(
     harmonics: Floats | None = None,
     sequences: Sequence[WavelengthSequence] = (),
 ) -> tuple[ErrorModel, dict[int, HarmonicsFit]]:
-    """Estimate noise by photon transfer, beyond harmonics and flicker; robust against scene and motion.
-
-    Where a set has more than three steps, noise is what the sinusoid leaves. Where all have three, it is the
-    difference between the sets' offsets. One set of three steps does not reveal the noise: the model is then
-    the rounding alone, a lower bound. Beside the model, the fits of sets that are fitted by themselves.
-    """
+    """Estimate noise by photon transfer, beyond harmonics and flicker; robust against scene and motion."""
+    # Where a set has more than three steps, noise is what the sinusoid leaves. Where all have three, it is
+    # the difference between the sets' offsets. One set of three steps does not reveal the noise: the model is
+    # then the rounding alone, a lower bound. Beside the model, the fits of sets that are fitted by
+    # themselves.
     # samples (N, P); harmonics (K,)
     step, grey = level_step(np.concatenate([sample.ravel() for sample in samples])), 1.0 / raw_per_grey(bits)
     saturation = math.floor(full_scale(bits) - step) + 1

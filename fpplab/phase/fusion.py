@@ -32,8 +32,7 @@ LEAST, CHI2 = _u(5 * ROW), _ALL_SQUARE
 POSITION, FINEST, DOUBT = _u(6 * ROW), _u(7 * ROW), _u(8 * ROW)
 """Rows with the position of the finest set and its weight; the last is for `fpplab.phase.wrong_order`."""
 _OWN = _u(9 * ROW)
-FUSION_ROWS = 10
-"""Rows of the working buffer."""
+FUSION_ROWS = 10  # rows of the working buffer
 
 
 @compiled
@@ -62,12 +61,10 @@ def weigh(
     recipe: Any,
     pixel_count: int,
 ) -> None:
-    """Turn the offsets of one set into its weights, the inverse variances of its positions.
-
-    The variance is that of noise and that of the errors that all pixels of one phase share. Where nothing
-    tells the second, noise alone counts. Where a pixel's images contradict a sinusoid by more than all of
-    these explain, its variance is that of its own residuals.
-    """
+    """Turn the offsets of one set into its weights, the inverse variances of its positions."""
+    # The variance is that of noise and that of the errors that all pixels of one phase share. Where nothing
+    # tells the second, noise alone counts. Where a pixel's images contradict a sinusoid by more than all of
+    # these explain, its variance is that of its own residuals.
     # modulation (n,); offset (n,); share (n,); loss (n,); bent (n,); repeated (n,); rest (n,)
     constant, per_level = recipe.noise_constant, recipe.noise_per_level
     noise, rising = recipe.phase_noise[s], recipe.error_rising[s]

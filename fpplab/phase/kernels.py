@@ -24,8 +24,7 @@ from fpplab.phase.saturation import fit_unsaturated
 from fpplab.phase.tables import Maps, Recipe
 from fpplab.phase.wrong_order import TO_EXPLAIN, UNEXPLAINED, settle_orders
 
-GROUP = 4
-"""Frames summed per visit of a chunk (chosen); every set's list of frames is padded to a multiple."""
+GROUP = 4  # frames summed per visit of a chunk (chosen); every set's list of frames is padded to a multiple
 
 
 _f = np.float32
@@ -47,10 +46,8 @@ _UNWRAP_ROWS = 9
 
 
 def _arctangent_coefficients() -> tuple[np.float32, ...]:
-    """Coefficients in z = q² of atan(q)/(2π q) on [0, 1]: interpolation at Chebyshev's nodes.
-
-    Degree 9 leaves 4e-9 rad, so that the rounding of float32 alone limits the phase.
-    """
+    """Coefficients in z = q² of atan(q)/(2π q) on [0, 1]: interpolation at Chebyshev's nodes."""
+    # Degree 9 leaves 4e-9 rad, so that the rounding of float32 alone limits the phase.
 
     def function(z: NDArray[np.float64]) -> NDArray[np.float64]:
         q = np.sqrt(z)
@@ -156,10 +153,8 @@ def _demodulate(
     set_index: int,
     recipe: Any,
 ) -> None:
-    """Compute phase, modulation and offset of one set, its masks, and the greatest raw values so far.
-
-    The sum of squares becomes the mean square of what the fringe leaves.
-    """
+    """Compute phase, modulation and offset of one set, its masks, and the greatest raw values so far."""
+    # The sum of squares becomes the mean square of what the fringe leaves.
     grey, full = recipe.grey, recipe.full_scale
     modulation_min, contrast = recipe.modulation_min, recipe.contrast_min
     origin, misfit = recipe.origin[set_index], recipe.misfit_max[set_index]
@@ -404,10 +399,8 @@ def _add_frames(accumulators: Any, at: int, pixel_count: int, s: int, like: Any,
 
 @compiled
 def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) -> Any:
-    """Fill the maps for a range of pixels.
-
-    Releases the interpreter's lock, so that threads may share a frame's pixels.
-    """
+    """Fill the maps for a range of pixels."""
+    # Releases the interpreter's lock, so that threads may share a frame's pixels.
     sets = len(recipe.origin)
     accumulators, rows = np.zeros((_SUM_ROWS + 1) * ROW, np.float32), np.empty(_UNWRAP_ROWS * ROW, np.float32)
     fusion = np.empty(FUSION_ROWS * ROW, np.float32)

@@ -25,8 +25,7 @@ class OrderLimits(NamedTuple):
     agreeing_sigmas: float = 4.0
     """How many standard deviations of their difference a set may lie from the finest one to take part.
     Chosen: chance exceeds it at one pixel in 16,000."""
-    rounding_turns: float = 3e-6
-    """Standard deviation of a phase in turns that rounding to float32 leaves."""
+    rounding_turns: float = 3e-6  # standard deviation of a phase in turns that rounding to float32 leaves
     rest_rounding: float = 4e-6
     """The same of what a fringe leaves, in squares, as a share of the squares of its levels: they are summed
     over the images, and their differences multiplied by up to four."""
@@ -58,8 +57,7 @@ class OrderLimits(NamedTuple):
     doubtful_share: float = 0.25
     """Share of a period beyond which a disagreement makes an order doubtful, for the vote of the neighbours.
     Chosen: clean data stay below."""
-    max_vote_passes: int = 5
-    """Passes of the vote. Chosen."""
+    max_vote_passes: int = 5  # passes of the vote (chosen)
 
 
 class OutsideLimits(NamedTuple):
@@ -67,15 +65,13 @@ class OutsideLimits(NamedTuple):
 
     sample_pixels: int = 1000
     """About how many pixels are looked at. Chosen: a share of 5 % is then known to 0.7 %."""
-    min_pixels: int = 50
-    """Fewer pixels with fringes say nothing. Chosen."""
+    min_pixels: int = 50  # fewer pixels with fringes say nothing (chosen)
     max_noise_turns: float = 0.05
     """Greatest noise of a phase, in turns, of a pixel that is taken to have fringes. Chosen."""
     beyond_sigmas: float = 5.0
     """How many standard deviations beyond the interval a position certainly lies outside. Chosen, as those of
     `OrderLimits`."""
-    warning_share: float = 0.05
-    """Share of the pixels with fringes from which on a warning is given. Chosen."""
+    warning_share: float = 0.05  # share of the pixels with fringes from which on a warning is given (chosen)
 
 
 class PhaseNoiseLimits(NamedTuple):
@@ -83,13 +79,11 @@ class PhaseNoiseLimits(NamedTuple):
 
     sample_rows: int = 32
     """Rows of the image that pixels are sampled from. Chosen: whole cache lines of a few rows."""
-    sample_pixels: int = 16_000
-    """Sampled pixels. Chosen, as `max_values`."""
+    sample_pixels: int = 16_000  # sampled pixels (chosen, as `max_values`)
     max_values: int = 32_000
     """Values, pixels times degrees of freedom, that noise is estimated from. Chosen: noise is then known to
     1 %."""
-    min_pixels: int = 100
-    """Fewest pixels that errors are estimated from. Chosen."""
+    min_pixels: int = 100  # fewest pixels that errors are estimated from (chosen)
     min_samples: int = 3
     """Fewest unsaturated samples of a fringe set. Derived: a sinusoid has three parameters."""
     max_saturation_loss: float = 9.0
@@ -98,25 +92,21 @@ class PhaseNoiseLimits(NamedTuple):
     min_spread: float = 0.0025
     """Variance of a level before rounding, in steps squared, that is distinguished from none. Derived: 1/20
     of a step, so that some part of the variance is always left to chance."""
-    max_bins: int = 24
-    """Bins of levels that a line is fitted through. Chosen."""
+    max_bins: int = 24  # bins of levels that a line is fitted through (chosen)
     min_pixels_per_bin: int = 30
     """Chosen: the mean of a bin is then known to 18 % with two degrees of freedom in each pixel."""
     rejected_share: float = 0.001
     """Share of pixels without motion or edges that are rejected as outliers. Chosen."""
     surprising_share: float = 1e-5
     """Share of pixels whose residuals pass by chance for a variance of their own. Chosen."""
-    rejection_passes: int = 6
-    """Passes of the rejection of outliers. Chosen."""
+    rejection_passes: int = 6  # passes of the rejection of outliers (chosen)
     min_sampled_share: float = 0.7
     """Share of rounding's variance below which the levels of a bin do not change over a whole step.
     Chosen."""
     max_repeated_share: float = 1e-4
     """Share of the variance by rounding that repeats, from which on it is computed. Chosen."""
-    min_levels: int = 16
-    """Fewest levels whose gaps tell the step of raw values. Chosen."""
-    min_even_share: float = 0.9
-    """Share of the gaps that must be one step. Chosen."""
+    min_levels: int = 16  # fewest levels whose gaps tell the step of raw values (chosen)
+    min_even_share: float = 0.9  # share of the gaps that must be one step (chosen)
 
 
 class CommonErrorLimits(NamedTuple):
@@ -131,12 +121,9 @@ class CommonErrorLimits(NamedTuple):
     """Standard deviation of the offset of whole sets in grey levels that is expected. Chosen."""
     min_variance: float = 1e-3
     """Least variance of a grey level, in grey levels squared. Chosen: keeps noise-free frames solvable."""
-    outlier_ratio: float = 9.0
-    """Power beyond this multiple of the median is left out. Chosen: 3 sigma."""
-    fit_passes: int = 2
-    """Passes of the fit, the last without outliers. Chosen."""
-    sample_pixels: int = 2000
-    """Pixels that are fitted, for one set. Chosen."""
+    outlier_ratio: float = 9.0  # power beyond this multiple of the median is left out (chosen: 3 sigma)
+    fit_passes: int = 2  # passes of the fit, the last without outliers (chosen)
+    sample_pixels: int = 2000  # pixels that are fitted, for one set (chosen)
     min_third_harmonic: float = -0.0168
     """Least third harmonic as a share of the fringe. Derived: somewhat below -0.0161, the least of any
     exponent."""
@@ -146,15 +133,13 @@ class CommonErrorLimits(NamedTuple):
     gain_significance: float = -math.log(0.001)
     """Power of gains relative to that of noise, which noise alone reaches once in a thousand times.
     Derived."""
-    highest_harmonic: int = 64
-    """Highest harmonic of a power law that is computed. Chosen."""
+    highest_harmonic: int = 64  # highest harmonic of a power law that is computed (chosen)
 
 
 class BentPhaseLimits(NamedTuple):
     """Limits of the search for the exponent that makes phases of three images agree."""
 
-    pixels: int = 500
-    """Pixels that are compared, at least. Chosen: the exponent is then known to 0.02."""
+    pixels: int = 500  # pixels that are compared, at least (chosen: the exponent is then known to 0.02)
     second_harmonics: tuple[float, float] = (-0.2, 0.45)
     """Second harmonics as shares of the fringe that are searched. Chosen: exponents 0.5 to 3.45."""
     min_trials: int = 4
@@ -183,10 +168,8 @@ class BiasedOrderLimits(NamedTuple):
     is by chance."""
     min_whole_share: float = 0.8
     """Share of the steps between two parts that must be so, by the same number of periods. Chosen."""
-    max_jumping_share: float = 0.25
-    """Jumps for each pixel from which on neighbours see no surface. Chosen."""
-    small_part_px: int = 30
-    """Pixels of a part up to which that is enough. Chosen."""
+    max_jumping_share: float = 0.25  # jumps for each pixel from which on neighbours see no surface (chosen)
+    small_part_px: int = 30  # pixels of a part up to which that is enough (chosen)
     min_change_turns: float = 0.03
     """Change of the sets' contradiction at the border of a greater part, in turns. Chosen: one bias in
     thirty is nearer to whole periods."""
@@ -194,10 +177,8 @@ class BiasedOrderLimits(NamedTuple):
     """Greatest gap of the fine phase, in turns, where the bias may be continuous. Chosen: surfaces bend."""
     max_gap_at_edge_turns: float = 0.01
     """The same where it must have an edge. Chosen: one jump in depth in fifty is as near to whole periods."""
-    beyond_sigmas: float = 3.0
-    """Standard deviations of its noise by which a gap may be greater. Chosen."""
-    stretches: int = 4
-    """Parts of a border in each of which the fine phase must go on. Chosen."""
+    beyond_sigmas: float = 3.0  # standard deviations of its noise by which a gap may be greater (chosen)
+    stretches: int = 4  # parts of a border in each of which the fine phase must go on (chosen)
     min_majority: float = 2.0 / 3.0
     """Share of the joined pixels that must have one order for it to be taken as right. Chosen."""
     max_noise_turns: float = 0.03
@@ -208,21 +189,18 @@ class BiasedOrderLimits(NamedTuple):
 class NeighbourLimits(NamedTuple):
     """Limits of what neighbouring pixels show."""
 
-    tile_px: int = 32
-    """Side of a tile in px. Chosen."""
+    tile_px: int = 32  # side of a tile in px (chosen)
     min_share_of_finest: float = 0.5
     """Stripes of a set as a share of the finest along its axis from which on neighbours are compared. Chosen:
     wider fringes hardly change from pixel to pixel, and have little weight."""
     tiles_along: int = 4
     """Tiles along each side of the image. Chosen: strengths are then known to some percent."""
-    min_pixels: int = 2000
-    """Fewest pixels that strengths are estimated from. Chosen."""
+    min_pixels: int = 2000  # fewest pixels that strengths are estimated from (chosen)
     min_modulation: float = 2.0
     """Modulation in grey levels below which the phases of neighbours are not compared. Chosen."""
     max_bend_rad: float = 0.7
     """Spread of the second differences of a phase beyond which neighbours do not see one surface. Chosen."""
-    fit_passes: int = 4
-    """Passes of the fit, each without the outliers of the one before. Chosen."""
+    fit_passes: int = 4  # passes of the fit, each without the outliers of the one before (chosen)
     outlier_sigmas: float = 8.0
     """Second differences beyond this multiple of their spread lie at edges of the part. Chosen."""
     significance: float = 6.0
@@ -240,14 +218,11 @@ class NeighbourLimits(NamedTuple):
 class LagLimits(NamedTuple):
     """Limits of the look for the frame before in each frame."""
 
-    min_pixels: int = 500
-    """Fewest pixels that the share is estimated from. Chosen."""
+    min_pixels: int = 500  # fewest pixels that the share is estimated from (chosen)
     min_share: float = 0.002
     """Least share that is stated. Chosen: it displaces four steps of 64 stripes by 0.005 px."""
-    significance: float = 5.0
-    """The same in standard deviations. Chosen."""
-    fit_passes: int = 4
-    """Passes of the fit, each without the outliers of the one before. Chosen."""
+    significance: float = 5.0  # the same in standard deviations (chosen)
+    fit_passes: int = 4  # passes of the fit, each without the outliers of the one before (chosen)
     outlier_ratio: float = 7.0
     """Residuals beyond this multiple of their median are left out. Derived: 5 sigma."""
 

@@ -32,8 +32,7 @@ from fpplab.phase.noise import NoiseModel, surprising_power
 
 S = TypeVar("S", bound=np.generic)
 
-_ALONG = (-2, -1)
-"""Axes of an array of tiles that are rows and columns."""
+_ALONG = (-2, -1)  # axes of an array of tiles that are rows and columns
 
 
 @dataclass(frozen=True, eq=False)

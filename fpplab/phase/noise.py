@@ -28,12 +28,10 @@ _RATE, _ONE = _f(4 * np.pi**2 / 64), _f(1)
 
 
 def repeated_rounding(spread: Floats) -> Floats:
-    """Compute the part of a variance that repeats because values are rounded to whole steps.
-
-    Noise of standard deviation s spreads a value over several steps, which leaves of the rounding error's
-    variance `Σ exp(-4π²k²s²)/(2π²k²)` as a function of the value alone: 1/12 without noise, nothing from half
-    a step on. The three terms here follow that sum within 0.001.
-    """
+    """Compute the part of a variance that repeats because values are rounded to whole steps."""
+    # Noise of standard deviation s spreads a value over several steps, which leaves of the rounding error's
+    # variance `Σ exp(-4π²k²s²)/(2π²k²)` as a function of the value alone: 1/12 without noise, nothing from
+    # half a step on. The three terms here follow that sum within 0.001.
     # The power of a rational function is exp, but compiled to vector instructions.
     w = _ONE / (_ONE + _RATE * spread)
     w *= w
@@ -69,11 +67,9 @@ class NoiseModel:
 
 
 def level_step(values: Image) -> float:
-    """Find the step of raw values: more than 1 where a container is deeper than its data.
-
-    8-bit data stored as multiples of 16 in 12 bits have a step of 16. Values that were scaled by no whole
-    number have steps of two neighbouring sizes, of which the mean is given.
-    """
+    """Find the step of raw values: more than 1 where a container is deeper than its data."""
+    # 8-bit data stored as multiples of 16 in 12 bits have a step of 16. Values that were scaled by no whole
+    # number have steps of two neighbouring sizes, of which the mean is given.
     gaps = np.diff(np.flatnonzero(np.bincount(values.ravel())))
     if len(gaps) + 1 < NOISE.min_levels:
         return 1.0
@@ -83,12 +79,10 @@ def level_step(values: Image) -> float:
 
 
 def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> NoiseModel:
-    """Fit `a + b I` with a ≥ step²/12, b ≥ 0 through means over bins of equally many pixels.
-
-    Pixels whose variance chance does not explain (motion, edges) are left out of their bin's mean. Bins whose
-    variance is less than that of rounding are undersampled, their levels do not change over a whole step:
-    they say nothing about noise and have no weight.
-    """
+    """Fit `a + b I` with a ≥ step²/12, b ≥ 0 through means over bins of equally many pixels."""
+    # Pixels whose variance chance does not explain (motion, edges) are left out of their bin's mean. Bins
+    # whose variance is less than that of rounding are undersampled, their levels do not change over a whole
+    # step: they say nothing about noise and have no weight.
     # level (P,); variance (P,)
     floor = QUANTISATION * step**2
     bins = max(1, min(NOISE.max_bins, len(level) // NOISE.min_pixels_per_bin))

@@ -21,12 +21,10 @@ def order_risk(
     projector_size: tuple[int, int],
     interval_shares: Mapping[Axis, float | None] | None = None,
 ) -> Map:
-    """Estimate the probability that noise gives a pixel a wrong fringe order, from its uncertainty.
-
-    A shifted position whose phases are χ² = d² away, in units of their noise, is the likelier one with the
-    probability `erfc(d / √8) / 2`; the sum over all shifts, in both directions, bounds the risk from above.
-    Shifts that only pixels near the projector's edges can suffer are not counted.
-    """
+    """Estimate the probability that noise gives a pixel a wrong fringe order, from its uncertainty."""
+    # A shifted position whose phases are χ² = d² away, in units of their noise, is the likelier one with the
+    # probability `erfc(d / √8) / 2`; the sum over all shifts, in both directions, bounds the risk from above.
+    # Shifts that only pixels near the projector's edges can suffer are not counted.
     # projector_size (width, height) px; returns (height, width)
     risk = np.where(decoded.valid, np.float32(0.0), np.float32(np.nan))
     for axis in plan.axes:

@@ -13,13 +13,11 @@ from fpplab.phase.limits import ORDERS
 def vote_orders(
     coordinate: Map, pixels: NDArray[np.int64], alternative: Floats, window: int, period: float
 ) -> NDArray[np.bool_]:
-    """Repair fringe orders by local majority, in place.
-
-    Light from the surroundings biases a coarse set, and then some orders are wrong by one. The neighbours of
-    a doubtful pixel vote for the one of its two coordinates that lies within a quarter of their difference of
-    their own; a neighbour that is near neither abstains. Only doubtful pixels ever change, so a step edge in
-    clean data cannot be voted away.
-    """
+    """Repair fringe orders by local majority, in place."""
+    # Light from the surroundings biases a coarse set, and then some orders are wrong by one. The neighbours
+    # of a doubtful pixel vote for the one of its two coordinates that lies within a quarter of their
+    # difference of their own; a neighbour that is near neither abstains. Only doubtful pixels ever change, so
+    # a step edge in clean data cannot be voted away.
     # coordinate (height, width); pixels (P,); alternative (P,); returns (P,)
     other = alternative.astype(np.float32)
     backed = np.zeros(len(pixels), np.bool_)

@@ -19,8 +19,7 @@ from fpplab.core.foreign import read_apart
 from fpplab.core.robust import robust_spread
 from fpplab.phase.decoded import Decoded
 
-MIN_SIDE = 16
-"""Of a map in px. Chosen: an array that is smaller is a parameter."""
+MIN_SIDE = 16  # of a map in px (chosen: an array that is smaller is a parameter)
 MAX_SHARE_OUTSIDE = 0.01
 """Of the pixels, beyond the projector's picture. Chosen: wrong units or periods put most of them there."""
 SUFFIXES = (".npy", ".npz", ".mat", ".tif", ".tiff")
@@ -48,11 +47,9 @@ class ImportedMaps:
 
 
 def import_phase_maps(source: PhaseMapSource) -> ImportedMaps:
-    """Read maps; pixels that are not finite, exactly 0 or just outside of the projector are not measured.
-
-    A phase of 0 is at the left and upper edge of the projector's picture, the coordinate (0, 0) at the centre
-    of its first pixel.
-    """
+    """Read maps; pixels that are not finite, exactly 0 or just outside of the projector are not measured."""
+    # A phase of 0 is at the left and upper edge of the projector's picture, the coordinate (0, 0) at the
+    # centre of its first pixel.
     if source.x is None and source.y is None:
         raise ConfigError("--phase: is missing; name the map along x, along y (--phase-y), or both")
     for name, value in (("--period", source.period_px), ("--sigma", source.sigma_px)):

@@ -15,10 +15,8 @@ from fpplab.phase.quality import coordinate_uncertainty
 def coordinate_spread(
     plan: Plan, axis: Axis, projector_size: tuple[int, int], sets: Sequence[int] | None = None
 ) -> float:
-    """Compute the standard uncertainty of a coordinate where noise and modulation are equal in all sets.
-
-    It is the Cramér-Rao bound of their images: `1/√Σ σ_k⁻²` with the uncertainty σ_k of each set alone.
-    """
+    """Compute the standard uncertainty of a coordinate where noise and modulation are equal in all sets."""
+    # It is the Cramér-Rao bound of their images: `1/√Σ σ_k⁻²` with the uncertainty σ_k of each set alone.
     # projector_size (width, height) px
     length = axis_length(projector_size, axis)
     fringes = [plan.fringes[k] for k in (plan.sets_along(axis) if sets is None else sets)]

@@ -22,8 +22,7 @@ TO_EXPLAIN = 0.5
 """Mark of a pixel whose step by step order is refused, between those of good pixels, 1, and bad ones, 0:
 measured only if the likeliest order suits."""
 
-UNEXPLAINED = 255
-"""Cause of a pixel that is not measured because noise explains none of its orders."""
+UNEXPLAINED = 255  # cause of a pixel that is not measured because noise explains none of its orders
 
 _f, _u = np.float32, np.uintp
 _HALF, _ONE = _f(0.5), _f(1)
@@ -46,12 +45,11 @@ def settle_orders(
     chi2: Any,
     cause: Any,
 ) -> None:
-    """Choose the likeliest order along one axis, and mask the pixels where it is too uncertain.
-
-    Unwrapping goes step by step, and so its order is not always the likeliest of all sets together. A pixel
-    whose steps disagree by more than the allowed share or lead out of the possible positions, or whose order
-    is changed here, is measured only if the likeliest position is a possible one and noise explains χ².
-    """
+    """Choose the likeliest order along one axis, and mask the pixels where it is too uncertain."""
+    # Unwrapping goes step by step, and so its order is not always the likeliest of all sets together. A pixel
+    # whose steps disagree by more than the allowed share or lead out of the possible positions, or whose
+    # order is changed here, is measured only if the likeliest position is a possible one and noise explains
+    # χ².
     # unwrapping, fusion: working buffers; offsets from the finest set, weights, shares (S, n); good (n,);
     # coordinate, sigma, common, chi2 (n,); cause (n,)
     first, last = recipe.alternatives[axis], recipe.alternatives[axis + 1]
@@ -191,11 +189,9 @@ def _mark_and_count_uncleared(
     reach: Any,
     min_log_odds: Any,
 ) -> Any:
-    """Mark the pixels that the bound does not clear, and count them; without a branch, as in the decoder.
-
-    With the separation d² of the nearest shift, its odds are at most `exp(-d (d/2 - χ))`. Pixels whose step
-    by step order is refused are all marked.
-    """
+    """Mark the pixels that the bound does not clear, and count them; without a branch, as in the decoder."""
+    # With the separation d² of the nearest shift, its odds are at most `exp(-d (d/2 - χ))`. Pixels whose step
+    # by step order is refused are all marked.
     count = _f(0)
     for j in range(pixel_count):
         i = _u(j)
@@ -221,10 +217,8 @@ def _chi2_of_shift(
     sign: float,
     shift_index: int,
 ) -> tuple[float, float, float]:
-    """χ² of one pixel's sets with the orders of a shifted position, their mean, and its inverse variance.
-
-    The mean is counted from the position.
-    """
+    """χ² of one pixel's sets with the orders of a shifted position, their mean, and its inverse variance."""
+    # The mean is counted from the position.
     shift = sign * recipe.shifts[shift_index]
     total, moment, square = 0.0, 0.0, 0.0
     for s in range(len(recipe.axis)):

@@ -48,8 +48,7 @@ from fpplab.reconstruction.regions import mark_small_regions
 
 _FLYING_NOISE = np.float32(LIMITS.flying_noise_share)
 
-Removed = NDArray[np.uint8]
-"""The `Rule` by which each pixel was removed, indexed [v, u]; 0 where it was kept."""
+Removed = NDArray[np.uint8]  # the `Rule` by which each pixel was removed, indexed [v, u]; 0 where it was kept
 
 
 class Rule(IntEnum):

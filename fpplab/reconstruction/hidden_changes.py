@@ -33,10 +33,8 @@ class HiddenChange:
 def hidden_changes(
     cloud: Cloud, calibration: Calibration, noise: CoordinateNoise, epipolar_limit_px: float
 ) -> tuple[HiddenChange, ...]:
-    """Compute what changes of each kind may have displaced the points by, the greatest first.
-
-    `epipolar_limit_px` is the systematic distance from the epipolar lines at which a change is noticed.
-    """
+    """Compute what changes of each kind may have displaced the points by, the greatest first."""
+    # `epipolar_limit_px` is the systematic distance from the epipolar lines at which a change is noticed.
     step = max(1, len(cloud) // LIMITS.hidden_change_points)
     points = cloud.points[::step].astype(np.float64)
     changed = changed_rigs(calibration)

@@ -14,16 +14,13 @@ class ReconstructionLimits(NamedTuple):
     depth_tolerance: float = 1e-5
     """Relative size of the last step in depth. Derived: each step squares the error, so the depth is good to
     1e-10."""
-    max_steps: int = 20
-    """Steps of Gauss-Newton for one pixel. Chosen: from the pixel above one is enough."""
-    block_rows: int = 16
-    """Rows that one thread solves in sequence, each starting from the row above. Chosen."""
+    max_steps: int = 20  # steps of Gauss-Newton for one pixel (chosen: from the pixel above one is enough)
+    block_rows: int = 16  # rows that one thread solves in sequence, each starting from the row above (chosen)
     min_sensitivity_px_per_mm: float = 1e-3
     """Least change of the projector coordinates with depth that determines the depth. Chosen."""
     max_coordinate_px: float = 1e6
     """A coordinate beyond this, or an infinite one, is taken as not known. Chosen."""
-    cached_cameras: int = 2
-    """Number of cameras whose ray slopes are kept in memory. Chosen."""
+    cached_cameras: int = 2  # number of cameras whose ray slopes are kept in memory (chosen)
     interval_margin_px: float = 0.5
     """By how much an interval reaches beyond the epipolar segment, for the calibration's own uncertainty.
     Chosen."""
@@ -52,8 +49,7 @@ class ReconstructionLimits(NamedTuple):
     Chosen."""
     grid_margin_share: float = 0.05
     """By which share of its length a ray grid reaches beyond the others. Chosen."""
-    block_points: int = 1 << 14
-    """Points whose derivatives are in memory at a time: 12 MB. Chosen."""
+    block_points: int = 1 << 14  # points whose derivatives are in memory at a time: 12 MB (chosen)
     rigid_sample_points: int = 20_000
     """About as many evenly sampled points are used to fit the rigid motion of the cloud. Chosen."""
     hidden_change_points: int = 1000

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 
-NODES = (25, 19, 13)
-"""Along x/z, y/z and z."""
+NODES = (25, 19, 13)  # along x/z, y/z and z
 
 AnyPoints = NDArray[np.floating[Any]]
 Singles = NDArray[np.float32]

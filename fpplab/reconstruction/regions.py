@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Map, Mask
 
-_BAND = 64
-"""Rows that one thread joins in sequence (chosen)."""
+_BAND = 64  # rows that one thread joins in sequence (chosen)
 
 _Numbers = NDArray[np.int32]
 _RowStarts = NDArray[np.int64]

@@ -30,8 +30,7 @@ from fpplab.core.drawing import (
     single_axes,
 )
 
-CROWDED = 8
-"""Number of poses beyond which their names are rotated (chosen)."""
+CROWDED = 8  # number of poses beyond which their names are rotated (chosen)
 
 EPIPOLAR = (
     "Distance in the projector's image between each point and the epipolar line of its camera pixel; it does "

@@ -28,14 +28,10 @@ MAX_POINTS = 60_000
 """Points of a view (chosen: some megabytes); a page with several shares twice as many among them."""
 TILT_DEG, TURN_DEG = 50.0, 25.0
 """The view at first: tilted away from the camera's own by this, and turned about the camera's axis."""
-FIELD_DEG = 30.0
-"""Vertical field of view (chosen)."""
-STILL = (960, 600)
-"""Width and height of the still picture in px."""
-STEPS = 65535
-"""Steps of a quantised value, those of 16 bits; 0 is a value that is not known."""
-GREY = 0.6
-"""Colour of points without a value: red, green and blue as a share of full brightness (chosen)."""
+FIELD_DEG = 30.0  # vertical field of view (chosen)
+STILL = (960, 600)  # width and height of the still picture in px
+STEPS = 65535  # steps of a quantised value, those of 16 bits; 0 is a value that is not known
+GREY = 0.6  # colour of points without a value: red, green and blue as a share of full brightness (chosen)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,7 @@ from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
 from fpplab.results.search import MeasuredArtefact, OptimisationResult
 
-DISTANCE = "mean distance to the surface, µm"
-"""Label of the axes."""
+DISTANCE = "mean distance to the surface, µm"  # label of the axes
 GREY = "#9aa1a9"
 PLAN_COLUMNS = ("Plan", "Stripes", "Steps", "Stage in mm")
 """Columns of the summary before those of the objectives."""

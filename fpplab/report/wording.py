@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-NOT_KNOWN = "–"
-"""Shown where a figure is not known."""
+NOT_KNOWN = "–"  # shown where a figure is not known
 
 
 def number_text(value: float | None) -> str:

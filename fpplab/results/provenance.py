@@ -19,8 +19,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.sessions.origin import SessionOrigin, other_devices, session_origin, taken_at
 from fpplab.sessions.session import JOURNAL, Session
 
-NOT_RECORDED = "not recorded"
-"""Shown where no record states it."""
+NOT_RECORDED = "not recorded"  # shown where no record states it
 
 LABELS = {
     "rig": "Rig",

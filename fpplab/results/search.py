@@ -31,8 +31,7 @@ class BeforeAndAfter:
     """By name, with the start's plan and with the plan found."""
     angles_deg: Mapping[float, float] = field(default_factory=dict)
     """Angles of triangulation by the stage's position in mm."""
-    provenance: Mapping[str, Provenance] = field(default_factory=dict)
-    """Of the rig, with the start's plan."""
+    provenance: Mapping[str, Provenance] = field(default_factory=dict)  # of the rig, with the start's plan
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Image
 
 COLOURS = ("red", "green", "blue")
-WAY_OUT = "export it as 8- or 16-bit grey"
-"""What to do with a picture of other levels than those of a camera."""
+WAY_OUT = "export it as 8- or 16-bit grey"  # what to do with a picture of other levels than those of a camera
 
 
 class NotGreyError(Exception):

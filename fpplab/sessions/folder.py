@@ -109,11 +109,9 @@ def need_space_for_frames(
     *,
     replaced_last: bool = False,
 ) -> None:
-    """Refuse sessions whose frames do not fit on the disk, before anything is projected or written.
-
-    Frames that interrupted sessions have already need no more space, and a session that is replaced frees its
-    own.
-    """
+    """Refuse sessions whose frames do not fit on the disk, before anything is projected or written."""
+    # Frames that interrupted sessions have already need no more space, and a session that is replaced frees
+    # its own.
     # size (width, height) px
     images = freed = 0
     for path in paths:

@@ -22,8 +22,7 @@ from fpplab.core.config import Document
 from fpplab.core.errors import DataError
 from fpplab.core.session_names import CHECKSUMS, FORMAT, PLAN, RIG
 
-PRESENT = 2
-"""The version of the format that is written."""
+PRESENT = 2  # the version of the format that is written
 
 
 class SessionFormat(Document):

@@ -13,8 +13,7 @@ from fpplab.core.progress import Say
 from fpplab.sessions.limits import SESSION_LIMITS as LIMITS
 
 BIT_DEPTHS = (8, 10, 12, 14, 16)
-STORED_BITS = 16
-"""Bits of a stored grey level where it has more than 8: what TIFF and PNG hold."""
+STORED_BITS = 16  # bits of a stored grey level where it has more than 8: what TIFF and PNG hold
 
 
 def check_bits(bits: int | None) -> None:

@@ -31,12 +31,9 @@ READ_FORMATS = "PNG, TIFF, JPEG, BMP, PGM, PPM, NPY and NPZ"
 class ImagePlace(NamedTuple):
     """One image: a file, and which of those in it."""
 
-    path: Path
-    """The file."""
-    page: int
-    """Of the image, from 0."""
-    pages: int
-    """How many images the file holds."""
+    path: Path  # the file
+    page: int  # of the image, from 0
+    pages: int  # how many images the file holds
 
     def __str__(self) -> str:
         return f"{self.path}" if self.pages == 1 else f"{self.path} image {self.page}"
@@ -109,22 +106,17 @@ class ImageFile(Protocol):
 class ReadImage(NamedTuple):
     """One image and what its file says of it."""
 
-    place: ImagePlace
-    """Where it is."""
-    levels: Image
-    """Its grey levels as stored, (height, width)."""
-    is_lossy: bool
-    """Whether compression has changed them."""
+    place: ImagePlace  # where it is
+    levels: Image  # its grey levels as stored, (height, width)
+    is_lossy: bool  # whether compression has changed them
     stated_bits: int | None
     """Bits of a level by the file's head, where it says more than that they take 8 or 16."""
 
 
 @contextmanager
 def open_image_file(path: Path) -> Iterator[ImageFile]:
-    """Open a file of grey images; a TIFF, NPY or NPZ file holds any number.
-
-    The first bytes decide what the file is, not its name.
-    """
+    """Open a file of grey images; a TIFF, NPY or NPZ file holds any number."""
+    # The first bytes decide what the file is, not its name.
     try:
         with open_regular(path) as stream:
             head = stream.read(HEAD_BYTES)

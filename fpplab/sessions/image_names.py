@@ -12,8 +12,7 @@ from pathlib import Path
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.sessions.limits import SESSION_LIMITS as LIMITS
 
-NameNumbers = tuple[int, ...]
-"""The numbers in a file name: (index,) or (set, step)."""
+NameNumbers = tuple[int, ...]  # the numbers in a file name: (index,) or (set, step)
 
 _ALLOWED = (["index"], ["set", "step"])
 

@@ -38,10 +38,8 @@ def import_images(
     warn: Say = ignore,
     tell: Say = ignore,
 ) -> Session:
-    """Bring grey images into a new session, in the plan's order.
-
-    Every image is checked before the session is made.
-    """
+    """Bring grey images into a new session, in the plan's order."""
+    # Every image is checked before the session is made.
     # projector_size (width, height) px
     check_bits(bits)
     rig = _projector_record(plan, projector_size, lattice)
@@ -78,8 +76,7 @@ class _CheckedImages:
     places: list[ImagePlace]
     size: tuple[int, int]
     bits: int
-    shift: int
-    """By how many bits stored levels are moved down."""
+    shift: int  # by how many bits stored levels are moved down
 
     def read(self) -> Iterator[Image]:
         """Read them one after the other as a session has them."""

@@ -19,8 +19,7 @@ class SessionLimits:
     """Fewest grey levels whose distances tell how many bits were shifted or scaled to 16. Chosen."""
     max_axis_ratio: int = 4
     """A last axis this many times shorter than both others counts images or colours, not columns. Chosen."""
-    max_names_shown: int = 5
-    """Names that are listed in a message. Chosen."""
+    max_names_shown: int = 5  # names that are listed in a message (chosen)
 
 
 SESSION_LIMITS = SessionLimits()

@@ -24,8 +24,7 @@ from fpplab.core.journals import cut_torn_line
 from fpplab.core.logs import LOGGERS
 from fpplab.core.session_names import LOG
 
-FIELDS = ("phase", "seconds", "device", "sent")
-"""What records may hold besides their message."""
+FIELDS = ("phase", "seconds", "device", "sent")  # what records may hold besides their message
 
 
 class SessionLog(logging.Handler):

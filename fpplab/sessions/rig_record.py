@@ -14,8 +14,7 @@ from fpplab.devices.rig import DepthSection
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.plan import Plan
 
-RigRecord = dict[str, Any] | None
-"""A rig as `Rig.described` gives it, or None for images from elsewhere."""
+RigRecord = dict[str, Any] | None  # a rig as `Rig.described` gives it, or None for images from elsewhere
 
 
 def read_rig(path: Path) -> RigRecord:

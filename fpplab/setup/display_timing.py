@@ -19,8 +19,7 @@ from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.setup.rig_check.marker_check import LIMITS as MARKER_LIMITS
 
-BLACK, GREY = 0, 1
-"""The two patterns that are shown."""
+BLACK, GREY = 0, 1  # the two patterns that are shown
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,8 @@ Chosen = TypeVar("Chosen", bound=Device)
 Ask = Callable[[str, Sequence[str]], int]
 """Asks a question with several answers, and returns the index of the chosen one."""
 
-NONE = "none"
-"""Name of no device."""
-OPERATOR = {"backend": "fpplab.devices.operator:Operator"}
-"""The fixture that asks a person."""
+NONE = "none"  # name of no device
+OPERATOR = {"backend": "fpplab.devices.operator:Operator"}  # the fixture that asks a person
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,8 @@ from PIL import ImageDraw, ImageFont
 
 from fpplab.core.conventions import Floats
 
-UNMEASURED = (185, 188, 192)
-"""RGB of what was not measured."""
-BAR_SIZE = (560, 92)
-"""Width and height of a colour bar in px."""
+UNMEASURED = (185, 188, 192)  # RGB of what was not measured
+BAR_SIZE = (560, 92)  # width and height of a colour bar in px
 _PAPER, _INK = (24, 27, 31), (225, 228, 232)
 _MARGIN, _HEIGHT = 60, 30
 

@@ -37,10 +37,8 @@ from pathlib import Path
 from typing import Any
 
 LOCAL = "127.0.0.1"
-START_TIMEOUT_S = 20.0
-"""Longest time in s that rerun may take to start (chosen)."""
-MEMORY_LIMIT = "1GB"
-"""Memory limit of rerun's window (chosen)."""
+START_TIMEOUT_S = 20.0  # longest time in s that rerun may take to start (chosen)
+MEMORY_LIMIT = "1GB"  # memory limit of rerun's window (chosen)
 MAX_BYTES, FIRST_MESSAGES = 1 << 30, 200
 """Bytes of a growing recording that are kept for pages opened later, and how many of its first messages are
 among them in any case (chosen)."""
@@ -77,8 +75,7 @@ HEADERS = {
     "X-DNS-Prefetch-Control": "off",
     "Cache-Control": "no-store",
 }
-PR_SET_PDEATHSIG = 1
-"""Linux's number of the option that sets the signal at the end of the parent."""
+PR_SET_PDEATHSIG = 1  # linux's number of the option that sets the signal at the end of the parent
 
 
 def run(program: str, kind: str, file: str) -> None:
@@ -150,8 +147,7 @@ def _open_window(program: str, file: str, home: Path) -> subprocess.Popen[bytes]
     return rerun
 
 
-_never_answered: list[socket.socket] = []
-"""Connections of windows, which are kept open."""
+_never_answered: list[socket.socket] = []  # connections of windows, which are kept open
 
 
 def _start_rerun(

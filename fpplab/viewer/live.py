@@ -27,11 +27,9 @@ from fpplab.viewer.canvas import REACH, CommandView, eight_bits, shown_step, sub
 from fpplab.viewer.measurement import CAMERA, IMAGE, PATTERN, PROJECTOR, show_devices
 from fpplab.viewer.viewer import Viewer
 
-SATURATED, DARK = (255, 48, 32), (24, 60, 150)
-"""RGB of pixels at full scale, and of those that stay dark."""
+SATURATED, DARK = (255, 48, 32), (24, 60, 150)  # RGB of pixels at full scale, and of those that stay dark
 
-UNKNOWN_FOCUS = (72, 76, 82)
-"""RGB of a region whose focus is not known."""
+UNKNOWN_FOCUS = (72, 76, 82)  # RGB of a region whose focus is not known
 
 OVERLAP_COLOUR, WORKING_COLOUR = (90, 170, 110), (250, 200, 60)
 """RGB of the fields' overlap, and of that at the working distance."""

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from fpplab.patterns.response import Response
     from fpplab.results.demo import DemoResult, DemoScan
 
-POSES = 12
-"""Poses of the board (chosen)."""
+POSES = 12  # poses of the board (chosen)
 TRUTH, RESULT, BOARD = "truth.stl", "demo.json", "board"
 
 

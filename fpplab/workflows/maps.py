@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from fpplab.calibration.model import Calibration
     from fpplab.results.maps import MapsResult
 
-MIN_SHARE = 0.5
-"""Of the pixels with coordinates that give a point. Chosen: maps of another rig give few."""
+MIN_SHARE = 0.5  # of the pixels with coordinates that give a point (chosen: maps of another rig give few)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,7 @@ from fpplab.results.provenance import cloud_provenance, local_time, session_prov
 from fpplab.results.several_scans import CloudDifference, ScanRecord, ScansResult
 from fpplab.sessions.session import Session
 
-MAX_SCANS = 8
-"""Most scans of a page (chosen): more would not fit into one that can be mailed."""
+MAX_SCANS = 8  # most scans of a page (chosen): more would not fit into one that can be mailed
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from .camera import add_camera
 from .materials import add_paint
 from .projector import add_projector
 
-SHADES_ROOM = "shades_room"
-"""Property of an object, `Surface.shades_room`."""
+SHADES_ROOM = "shades_room"  # property of an object, `Surface.shades_room`
 
 
 def add_scene(

@@ -13,8 +13,7 @@ from mathutils import Matrix
 
 from ..scene import Aperture, PinholeOptics, RenderRefused, SubpixelView
 
-SOURCE = Path(__file__).with_name("camera.osl")
-"""The camera shader."""
+SOURCE = Path(__file__).with_name("camera.osl")  # the camera shader
 
 
 def compile_shader() -> str:

@@ -27,8 +27,7 @@ EDGE = 1.2
 """Edge of a cell of Blender's Voronoi texture for facets of edge 1: a plane through unit cells cuts them into
 1.46 facets a unit of area (measured), so the area of a cell has to be 1.46 = EDGE²."""
 
-LayerParameters = dict[str, float]
-"""Parameters of a base layer by name, see `sim.scene.BaseLayer`."""
+LayerParameters = dict[str, float]  # parameters of a base layer by name, see `sim.scene.BaseLayer`
 
 
 def _unchanged(reflectance: Any) -> Any:

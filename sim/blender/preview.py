@@ -18,11 +18,9 @@ from ..scene import GreyScale, PatternRender, SubpixelView
 from .building import add_room_lamps, add_scene, make_linear
 from .camera import aim, compile_shader
 
-VIEWING_SAMPLES = 16
-"""Light paths for each pixel of the rendered view."""
+VIEWING_SAMPLES = 16  # light paths for each pixel of the rendered view
 
-PreviewPixels = NDArray[np.float32]
-"""Pictures (height, width)."""
+PreviewPixels = NDArray[np.float32]  # pictures (height, width)
 
 
 def show_preview(blender_scene: Any, preview: Preview) -> None:

@@ -8,8 +8,7 @@ import bpy
 
 from ..scene import RenderRefused
 
-CPU, OPTIX = "CPU", "OPTIX"
-"""The kinds of device that run Open Shading Language."""
+CPU, OPTIX = "CPU", "OPTIX"  # the kinds of device that run Open Shading Language
 
 
 def runs_osl(device: str) -> bool:

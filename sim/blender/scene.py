@@ -25,8 +25,7 @@ from sim.scene import (
     Z,
 )
 
-PixelBuffer = NDArray[np.float32]
-"""Pictures or textures."""
+PixelBuffer = NDArray[np.float32]  # pictures or textures
 
 
 class BlenderScene:

@@ -23,13 +23,10 @@ from sim.dataset.fields import FIELDS, FRAMES, FieldSpec
 from sim.dataset.shard import CHECKSUMS, SCENES, array_file, shard_name
 
 CARD, README, PLAN = "card.json", "README.md", "plan.yaml"
-FORMAT = "fpplab dataset 1"
-"""Value of the card's field `format`."""
-MADE_WITH = ("fpplab", "numpy", "bpy", "embreex")
-"""Packages whose versions the card lists."""
+FORMAT = "fpplab dataset 1"  # value of the card's field `format`
+MADE_WITH = ("fpplab", "numpy", "bpy", "embreex")  # packages whose versions the card lists
 
-SPLITS = (*["train"] * 4, "validation", *["train"] * 4, "test")
-"""The split of sample k is entry k modulo ten."""
+SPLITS = (*["train"] * 4, "validation", *["train"] * 4, "test")  # the split of sample k is entry k modulo ten
 
 LIMITS = (
     "Labels are of the centre of a pixel; its frame is a mean over the whole pixel, so at edges of depth, of "

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from fpplab.patterns.plan import Plan
 
-Arrays = dict[str, NDArray[np.generic]]
-"""Arrays of one sample by field."""
+Arrays = dict[str, NDArray[np.generic]]  # arrays of one sample by field
 
 
 @dataclass(frozen=True)
@@ -29,8 +28,7 @@ class FieldSpec:
         return tuple(dimensions[side] if side in dimensions else int(side) for side in self.shape.split())
 
 
-FRAMES = "frames"
-"""Name of the field with the camera's images."""
+FRAMES = "frames"  # name of the field with the camera's images
 FIELDS = (
     FieldSpec(FRAMES, "camera", "", "N h w", "raw levels", "the camera's integers, images in the plan's "
           "order"),

@@ -23,11 +23,9 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.targets import Target
 from sim.studio import DatasetScene
 
-MAX_TRIES = 2000
-"""Random poses, or sizes, that are tried before giving up (chosen)."""
+MAX_TRIES = 2000  # random poses, or sizes, that are tried before giving up (chosen)
 
-Interval = tuple[float, float]
-"""Least and greatest value."""
+Interval = tuple[float, float]  # least and greatest value
 
 
 def _within(low: float, high: float) -> AfterValidator:
@@ -39,8 +37,7 @@ def _within(low: float, high: float) -> AfterValidator:
     return AfterValidator(check)
 
 
-Shares = Annotated[Interval, _within(0.0, 1.0)]
-"""Interval within 0 to 1."""
+Shares = Annotated[Interval, _within(0.0, 1.0)]  # interval within 0 to 1
 
 
 class SceneRanges(Document):

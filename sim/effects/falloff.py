@@ -16,8 +16,7 @@ from sim.effects.base import Effect, EffectProjector
 from sim.effects.step import ParametersT, StepContext
 from sim.parameter_entry import FitRange, table_entry
 
-FALLOFF = ("falloff_x", "falloff_y", "falloff_xx", "falloff_xy", "falloff_yy")
-"""Names of the coefficients."""
+FALLOFF = ("falloff_x", "falloff_y", "falloff_xx", "falloff_xy", "falloff_yy")  # names of the coefficients
 
 
 class FalloffField(Document):

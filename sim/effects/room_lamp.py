@@ -16,8 +16,7 @@ from sim.effects.step import ParametersT, StepContext
 from sim.parameter_entry import FitRange, SubstituteNumber, table_entry
 from sim.scene import PointLamp
 
-ROOM = "room"
-"""Name of the lamp that can be matched."""
+ROOM = "room"  # name of the lamp that can be matched
 ROOM_LAMP = ("lamp_irradiance", "lamp_angle_deg", "lamp_azimuth_deg", "lamp_nearness")
 """Names of its numbers that are fitted."""
 

@@ -19,11 +19,9 @@ from sim.effects.base import Effect, EffectWorld, FrameOfSequence
 from sim.effects.step import FrameFluctuation, ParametersT, StepContext
 from sim.parameter_entry import table_entry
 
-MAX_VIBRATION_MM = 10
-"""Greatest displacement by vibration (chosen)."""
+MAX_VIBRATION_MM = 10  # greatest displacement by vibration (chosen)
 
-NO_LINE = (0.0, 0.0, 0.0)
-"""Of a vibration that has no direction."""
+NO_LINE = (0.0, 0.0, 0.0)  # of a vibration that has no direction
 
 
 class VibrationLine(Document):

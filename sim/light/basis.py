@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-PatternLevels = NDArray[np.float32]
-"""Light levels of mirrors or pictures, relative to white."""
+PatternLevels = NDArray[np.float32]  # light levels of mirrors or pictures, relative to white
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,7 @@ class Sized(Protocol):
         """Size in bytes."""
 
 
-T = TypeVar("T", bound=Sized)
-"""Type of the results that a cache keeps."""
+T = TypeVar("T", bound=Sized)  # type of the results that a cache keeps
 
 
 class ByteLimitedCache(Generic[T]):

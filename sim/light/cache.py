@@ -27,8 +27,7 @@ from fpplab.core.system import cache_directory
 from sim.light.table import LightTable
 from sim.scene import RenderScene, SubpixelView
 
-FORMAT = "fpplab light table 4"
-"""First line of a file."""
+FORMAT = "fpplab light table 4"  # first line of a file
 
 _log = logging.getLogger(__name__)
 

@@ -19,8 +19,7 @@ from sim.light.slopes import MotionTable
 from sim.scene import RenderScene, SubpixelView
 from sim.texture import MirrorTexture
 
-BATCH_PATTERNS = 16
-"""Patterns that are looked up at once (chosen)."""
+BATCH_PATTERNS = 16  # patterns that are looked up at once (chosen)
 
 
 @dataclass(frozen=True, eq=False)

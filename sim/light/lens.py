@@ -17,8 +17,7 @@ from fpplab.core.conventions import Floats
 from sim.scene import SubpixelView
 from sim.world.render import subpixel_shifts
 
-GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
-"""The golden angle in rad."""
+GOLDEN_RAD = np.pi * (3 - np.sqrt(5))  # the golden angle in rad
 
 
 def lens_views(side: int, aperture_mm: float) -> list[SubpixelView]:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from sim.mirror_spread import STEPS, TAPS
 
-WINDOW = TAPS + 2
-"""Texels along a side of the window in which a pixel's weights are added up."""
+WINDOW = TAPS + 2  # texels along a side of the window in which a pixel's weights are added up
 
 _PIXELS = 256
 """Pixels for which one thread allocates its window (chosen); a global, which numba compiles as a constant."""

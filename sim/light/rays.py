@@ -8,8 +8,7 @@ import numpy as np
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import distort
 
-distorted = numba.njit(inline="always")(distort)
-"""`distort`, to be compiled into a caller's loop."""
+distorted = numba.njit(inline="always")(distort)  # `distort`, to be compiled into a caller's loop
 
 
 @numba.njit(cache=True, inline="always")

@@ -18,8 +18,7 @@ from sim.light.look_up import WINDOW, interpolated_light, sharp_light
 from sim.scene import ALBEDO, DIRECT, RenderScene, X, Y, Z
 from sim.texture import Part, PatternTextures
 
-Irradiance = NDArray[np.float32]
-"""Arrays of a table, or pictures looked up in it."""
+Irradiance = NDArray[np.float32]  # arrays of a table, or pictures looked up in it
 
 MIN_WHITE = np.float32(0.02)
 """Share of full light, at the edge of the projector's outermost mirrors, below which it is not divided by."""

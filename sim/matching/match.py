@@ -38,8 +38,7 @@ from sim.matching.steps import (
 from sim.parameters import ADJUSTABLE, TwinParameters
 from sim.twin import Twin
 
-CONVERGED = "converged"
-"""Why a matching ends that need not go on."""
+CONVERGED = "converged"  # why a matching ends that need not go on
 
 
 @dataclass(frozen=True)

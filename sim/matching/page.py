@@ -38,8 +38,7 @@ from sim.matching.steps import EXPLAINS
 from sim.parameters import TABLE, TwinParameters, named_numbers
 from sim.twin import Twin
 
-GreyPicture = NDArray[np.float32]
-"""Image [v, u] in raw levels."""
+GreyPicture = NDArray[np.float32]  # image [v, u] in raw levels
 
 COLUMNS = ("Refined", "Response", "SSIM", "SSIM over the board", "ε_d in px", "Loss", "Loss over the board")
 

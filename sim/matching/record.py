@@ -20,8 +20,7 @@ from fpplab.core.journals import append_line, cut_torn_line, make_journal, whole
 from fpplab.patterns.curve import Curve
 from sim.parameters import TABLE, TwinParameters
 
-EPOCHS = "match.jsonl"
-"""Name of the file."""
+EPOCHS = "match.jsonl"  # name of the file
 
 
 class _ParametersForm(Document):

@@ -19,8 +19,7 @@ from fpplab.patterns.response import Response
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 
-LevelStack = NDArray[np.float32]
-"""Raw levels of frames, (n, h, w)."""
+LevelStack = NDArray[np.float32]  # raw levels of frames, (n, h, w)
 
 
 @dataclass(frozen=True)

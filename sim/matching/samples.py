@@ -18,8 +18,7 @@ from sim.matching.reference import Reference
 from sim.parameters import TwinParameters
 from sim.twin import Twin
 
-TILES = 5
-"""Tiles along each side of the board, in which residuals count as dependent (chosen)."""
+TILES = 5  # tiles along each side of the board, in which residuals count as dependent (chosen)
 
 
 class LightSample(Protocol):

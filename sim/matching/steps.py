@@ -39,11 +39,9 @@ MIN_CONTRAST, SIGNIFICANT = 0.02, 3.0
 """Relative difference of the contrast, and standard errors of it, by which the board must be sharper than
 contrasts on parts say."""
 PROJECTOR_FOCUS = ("projector_focus_mm", "projector_aperture_mm")
-CAMERA_FOCUS = ("camera_focus_mm", "f_number")
-"""Names of the parameters of focus and aperture."""
+CAMERA_FOCUS = ("camera_focus_mm", "f_number")  # names of the parameters of focus and aperture
 F_NUMBERS = (1.0, 2.0, 4.0)
-APERTURES = (0.5, 1.0, 2.0)
-"""Factors of the twin's own aperture with which the search for a focus starts."""
+APERTURES = (0.5, 1.0, 2.0)  # factors of the twin's own aperture with which the search for a focus starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,8 +254,7 @@ def _steps_of(effects: Sequence[Effect[Document]]) -> tuple[MatchingStep, ...]:
     )
 
 
-VARYING_EFFECTS = tuple(effect for effect in EFFECTS if effect.varies)
-"""Those that no expected image shows."""
+VARYING_EFFECTS = tuple(effect for effect in EFFECTS if effect.varies)  # those that no expected image shows
 SHARPNESS_OF_BOARD = MatchingStep(
     "sharpness of the board",
     _fit_without_contrasts,

@@ -30,8 +30,7 @@ from sim.matching.run import MatchingRequest, MatchingResult, match_sessions, tw
 from sim.matching.scene.surface import SurfaceMatch
 from sim.twin import Twin
 
-RIG = "rig.yaml"
-"""The matched twin, in the folder of a matching that was not refused."""
+RIG = "rig.yaml"  # the matched twin, in the folder of a matching that was not refused
 
 
 @dataclass(frozen=True, eq=False)

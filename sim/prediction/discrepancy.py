@@ -19,10 +19,8 @@ from fpplab.core.files import write_text
 LARGE_NOISE, LARGE_DISTANCE, LARGE_LEVELS, LARGE_CONTRAST = 0.2, 0.4, 0.1, 0.05
 """Mean logarithms of noise and distance, and relative differences of levels and contrast, from which on they
 are large."""
-DISCREPANCY = "discrepancy.yaml"
-"""Name of the file, next to the rig file of a matched twin."""
-COVERAGE = 1.96
-"""Half width of an interval of 95 %, in standard deviations (of the normal distribution)."""
+DISCREPANCY = "discrepancy.yaml"  # name of the file, next to the rig file of a matched twin
+COVERAGE = 1.96  # half width of an interval of 95 %, in standard deviations (of the normal distribution)
 
 
 class Deviation(Document):

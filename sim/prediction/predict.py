@@ -38,8 +38,7 @@ from sim.prediction.form import distance_factors
 from sim.prediction.intervals import FigureInterval, figure_intervals
 from sim.sampling import ImagePartSampler
 
-BAND, MARGIN = 12, 2
-"""Rows of a band, and how many at each of its ends serve as neighbours alone."""
+BAND, MARGIN = 12, 2  # rows of a band, and how many at each of its ends serve as neighbours alone
 
 
 @dataclass(frozen=True)

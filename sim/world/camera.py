@@ -12,8 +12,7 @@ from fpplab.core.config import Document, Positive
 from fpplab.core.geometry import Pinhole
 from sim.world.numbers import NotNegative, PixelSize, Share
 
-Binning = Literal[1, 2, 4, 8]
-"""Pixels of the sensor along each side of a pixel of a frame."""
+Binning = Literal[1, 2, 4, 8]  # pixels of the sensor along each side of a pixel of a frame
 
 
 class Sensor(Document):

@@ -6,9 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-NotNegative = Annotated[float, Field(ge=0)]
-"""A number of at least 0."""
-Share = Annotated[float, Field(ge=0, le=1)]
-"""A number from 0 to 1."""
+NotNegative = Annotated[float, Field(ge=0)]  # a number of at least 0
+Share = Annotated[float, Field(ge=0, le=1)]  # a number from 0 to 1
 PixelSize = tuple[Annotated[int, Field(ge=8, le=20000)], Annotated[int, Field(ge=8, le=20000)]]
 """(width, height) in pixels or mirrors."""

@@ -9,11 +9,9 @@ from pydantic import Field
 
 from fpplab.core.config import Document
 
-LightPath = Literal["transport", "linear", "reference"]
-"""How patterns become pictures, see `sim.light.light`."""
+LightPath = Literal["transport", "linear", "reference"]  # how patterns become pictures, see `sim.light.light`
 
-Subpixels = Annotated[int, Field(ge=1, le=8)]
-"""Points of a pixel along each side."""
+Subpixels = Annotated[int, Field(ge=1, le=8)]  # points of a pixel along each side
 
 
 class Render(Document):

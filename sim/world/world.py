@@ -27,8 +27,7 @@ from sim.world.projector import ProjectorWorld
 from sim.world.render import LightPath, Render
 from sim.world.surroundings import SurroundingsSection
 
-MAX_DRAWS = 1000
-"""How often a number is drawn until its field allows it (chosen)."""
+MAX_DRAWS = 1000  # how often a number is drawn until its field allows it (chosen)
 
 
 class StageWorld(Document):

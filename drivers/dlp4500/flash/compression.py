@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 
 ImageBytes = NDArray[np.uint8]
 
-STORED_ROWS = 4
-"""Rows that the four-line compression stores (TI's client)."""
-MAX_RUN = 255
-"""Pixels that one count byte can announce (derived: 8 bits)."""
+STORED_ROWS = 4  # rows that the four-line compression stores (TI's client)
+MAX_RUN = 255  # pixels that one count byte can announce (derived: 8 bits)
 
 
 class Compression(IntEnum):

@@ -25,33 +25,25 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import read_bounded
 from fpplab.patterns.fringes import Pattern
 
-TABLE = 0x20000
-"""Offset of the table of blocks, in bytes (TI's client)."""
+TABLE = 0x20000  # offset of the table of blocks, in bytes (TI's client)
 
-TABLE_SECTOR = memory.sector_of(TABLE)
-"""Sector of the table of blocks."""
+TABLE_SECTOR = memory.sector_of(TABLE)  # sector of the table of blocks
 _SIGNATURE = struct.pack("<I", 0x01234567)
 _BLOCK = struct.Struct("<II")
 _BLOCKS = TABLE + 16
-_BLOCKS_END = _BLOCKS + 56 * _BLOCK.size
-"""Entries of the table: from its offset 16 on, 56 of them."""
+_BLOCKS_END = _BLOCKS + 56 * _BLOCK.size  # entries of the table: from its offset 16 on, 56 of them
 _SPLASH_BLOCKS = range(20, 24)
 """Table entries of the splash area; TI's firmware also lists single images there. New images replace all."""
 
-SPLASH_ENTRY = _BLOCKS + _SPLASH_BLOCKS[0] * _BLOCK.size
-"""Offset of the splash area's address in the table."""
+SPLASH_ENTRY = _BLOCKS + _SPLASH_BLOCKS[0] * _BLOCK.size  # offset of the splash area's address in the table
 
-_UNUSED = 0xFFFFFFFF
-"""Address and size of a table entry that is not used, as erased flash reads."""
+_UNUSED = 0xFFFFFFFF  # address and size of a table entry that is not used, as erased flash reads
 
-PER_IMAGE = 3
-"""Patterns of 8 bits in an image: in green, red and blue."""
+PER_IMAGE = 3  # patterns of 8 bits in an image: in green, red and blue
 
-STORED = (2, 1, 0)
-"""Order of the colour planes in a stored pixel: blue, red, green."""
+STORED = (2, 1, 0)  # order of the colour planes in a stored pixel: blue, red, green
 
-MAX_IMAGES = 256
-"""Entries of the splash area's table (TI's client)."""
+MAX_IMAGES = 256  # entries of the splash area's table (TI's client)
 _SPLASH_SIGNATURE = struct.pack("<II", 0x12345678, 0x87654321)
 _IMAGES_AT = len(_SPLASH_SIGNATURE) + 4 + MAX_IMAGES * _BLOCK.size
 """Offset of the first image in the splash area."""

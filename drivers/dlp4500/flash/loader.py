@@ -49,16 +49,12 @@ LEAVE = Command(
 
 _CHECKSUM, _MANUFACTURER, _DEVICE = 0x00, 0x0C, 0x0D
 """What `READ_STATUS` may be asked for; byte 0 of each answer is the boot loader's status."""
-EVM_FLASH = 0x0020, 0x227E
-"""Manufacturer and device id of the flash on the evaluation module."""
+EVM_FLASH = 0x0020, 0x227E  # manufacturer and device id of the flash on the evaluation module
 
-FLASH_BUSY = Polling(step_s=0.01, limit_s=30.0)
-"""For one sector (chosen; TI's sources give no figure)."""
-RESTART = Polling(step_s=0.25, limit_s=15.0)
-"""Until the device reappears on USB; TI's SDK waits 10 s."""
+FLASH_BUSY = Polling(step_s=0.01, limit_s=30.0)  # for one sector (chosen; TI's sources give no figure)
+RESTART = Polling(step_s=0.25, limit_s=15.0)  # until the device reappears on USB; TI's SDK waits 10 s
 
-Connect = Callable[[], Link]
-"""Opens a link to the projector, whichever program it runs."""
+Connect = Callable[[], Link]  # opens a link to the projector, whichever program it runs
 
 
 class BootLoaderLink:

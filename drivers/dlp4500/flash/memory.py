@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-SECTOR = 0x20000
-"""Bytes that are erased together, as TI's GUI knows the evaluation module's flash."""
-SIZE = 256 * SECTOR
-"""Bytes of the whole flash."""
+SECTOR = 0x20000  # bytes that are erased together, as TI's GUI knows the evaluation module's flash
+SIZE = 256 * SECTOR  # bytes of the whole flash
 
 ADDRESS = 0xF9000000
 """Address of the first byte (TI's client); tables in flash hold such, the boot loader takes offsets."""

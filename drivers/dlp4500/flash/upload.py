@@ -21,8 +21,7 @@ from drivers.dlp4500.transport import Link
 from fpplab.core.errors import DataError, DeviceError
 from fpplab.core.progress import Progress
 
-_SLOT = 16
-"""Bytes of the digest and of each mark on the progress page (chosen: 128 bits of SHA-256)."""
+_SLOT = 16  # bytes of the digest and of each mark on the progress page (chosen: 128 bits of SHA-256)
 _MARK = bytes(_SLOT)
 
 

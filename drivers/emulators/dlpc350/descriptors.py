@@ -19,8 +19,7 @@ from drivers.dlp4500.transport import INTERFACE, PRODUCT, VENDOR
 
 INWARDS = 0x80
 """Bit of an endpoint's address and of a request's type: data goes to the computer (USB 2.0, table 9-2)."""
-INTERFACES = (INTERFACE, INTERFACE + 1)
-"""Numbers of the HID interfaces."""
+INTERFACES = (INTERFACE, INTERFACE + 1)  # numbers of the HID interfaces
 
 
 class Descriptor(IntEnum):

@@ -15,16 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-SIZE, SECTOR = 0x2000000, 0x20000
-"""Bytes of the flash, and of what is erased together."""
-BASE_ADDRESS = 0xF9000000
-"""Address of the first byte in the controller's memory (TI's client)."""
-TABLE = 0x20000
-"""Offset of the table of blocks, in bytes (TI's client)."""
-SPLASH_ADDRESS = TABLE + 176
-"""Offset of the address of the splash area, in the table."""
-NONE = 0xFFFFFFFF
-"""Entry of a table that is not used, as erased flash reads."""
+SIZE, SECTOR = 0x2000000, 0x20000  # bytes of the flash, and of what is erased together
+BASE_ADDRESS = 0xF9000000  # address of the first byte in the controller's memory (TI's client)
+TABLE = 0x20000  # offset of the table of blocks, in bytes (TI's client)
+SPLASH_ADDRESS = TABLE + 176  # offset of the address of the splash area, in the table
+NONE = 0xFFFFFFFF  # entry of a table that is not used, as erased flash reads
 _HEADER = struct.Struct("<4sHHIIIIBBBB4x")
 
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from drivers.dlp4500.sequence import bit_planes
 from fpplab.core.conventions import Floats
 
-FlashImage = NDArray[np.uint8]
-"""(height, width, 3), uint8: the eight bit planes each of green, red and blue."""
+FlashImage = NDArray[np.uint8]  # (height, width, 3), uint8: the eight bit planes each of green, red and blue
 
 
 @dataclass(frozen=True, eq=False)

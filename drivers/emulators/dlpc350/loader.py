@@ -16,13 +16,10 @@ from drivers.emulators.dlpc350.flash import SECTOR, Flash, stored_images
 from drivers.emulators.dlpc350.policy import Dlpc350Policy
 from drivers.emulators.dlpc350.sequencer import Pulse
 
-ENTER = 0x3001
-"""Number of the command by which the application enters the boot loader (TI's client)."""
+ENTER = 0x3001  # number of the command by which the application enters the boot loader (TI's client)
 _READ_STATUS, _EXIT = 0x0015, 0x0030
-_MANUFACTURER, _PART = 0x0020, 0x227E
-"""Identity of the evaluation module's flash."""
-_BUSY = 0x08
-"""Bit of the status (TI's client)."""
+_MANUFACTURER, _PART = 0x0020, 0x227E  # identity of the evaluation module's flash
+_BUSY = 0x08  # bit of the status (TI's client)
 
 
 class BootLoader:

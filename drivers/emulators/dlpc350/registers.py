@@ -41,8 +41,7 @@ ANSWERED_ASLEEP = {
 """Commands that a controller in standby still executes."""
 FIRMWARE = {"major": 4, "minor": 4, "patch": 0}
 """Version of application, API and sequencer software that the emulator reports."""
-TAG = b"LCr4500 emulator"
-"""Answer to the command for the firmware's tag."""
+TAG = b"LCr4500 emulator"  # answer to the command for the firmware's tag
 POWER_ON: dict[Command, Values] = {
     protocol.INPUT_SOURCE: {"source": 0, "width": 1},
     protocol.CHANNEL_SWAP: {"swap": 4, "port": 0},

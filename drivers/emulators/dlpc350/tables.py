@@ -8,13 +8,11 @@ from drivers.dlp4500.layout import Values
 from drivers.dlp4500.protocol import ENTRY, MAX_ENTRIES
 
 Content = TypeVar("Content")
-RegisterContents = dict[int, Content]
-"""Table entries by their address."""
+RegisterContents = dict[int, Content]  # table entries by their address
 
 POWER_ON_PATTERNS = bytes.fromhex("001806 042802 084802")
 """Pattern table after power-on: three entries of 3 bytes."""
-POWER_ON_IMAGES = bytes([1])
-"""Image table after power-on: flash image 1."""
+POWER_ON_IMAGES = bytes([1])  # image table after power-on: flash image 1
 
 
 class PatternTables:

@@ -12,8 +12,7 @@ from drivers.dlp4500.framing import REPORT_BYTES, UsbMessage, continuation_repor
 from drivers.dlp4500.transport import INTERFACE, PRODUCT, VENDOR
 from drivers.emulators.dlpc350.firmware import Dlpc350
 
-LATE_S = 3.0
-"""Delay in s of a reply with the fault `UsbFault.LATE`: longer than the driver waits for one."""
+LATE_S = 3.0  # delay in s of a reply with the fault `UsbFault.LATE`: longer than the driver waits for one
 
 
 class UsbFault(Enum):

@@ -29,8 +29,7 @@ from fpplab.core.conventions import Lattice
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 
-DEFAULT_PLAN = "plan_paper.yaml"
-"""Plan whose patterns are in flash when no firmware file is given."""
+DEFAULT_PLAN = "plan_paper.yaml"  # plan whose patterns are in flash when no firmware file is given
 
 
 @contextmanager

@@ -33,14 +33,11 @@ from drivers.emulators.dlpc350.descriptors import (
 from drivers.emulators.dlpc350.usb import EmulatedHid
 from fpplab.core.errors import DeviceError
 
-HUB = Path("/sys/devices/platform/vhci_hcd.0")
-"""Directory of the virtual hub in sysfs."""
-NAME = "emulator"
-"""Name of the device in error messages."""
+HUB = Path("/sys/devices/platform/vhci_hcd.0")  # directory of the virtual hub in sysfs
+NAME = "emulator"  # name of the device in error messages
 POLL_S = 0.002
 """Longest time in s between two queries of the emulated device (chosen: two reports at full speed)."""
-_SUBMIT, _UNLINK, _SUBMITTED, _UNLINKED = 1, 2, 3, 4
-"""Numbers of the commands (usbip_protocol.rst)."""
+_SUBMIT, _UNLINK, _SUBMITTED, _UNLINKED = 1, 2, 3, 4  # numbers of the commands (usbip_protocol.rst)
 
 
 class UsbIpConnection:

@@ -14,8 +14,7 @@ from drivers.emulators.dlpc350.light import FlashImage
 
 CHANNEL_ORDERS = ("ABC", "CAB", "BCA", "ACB", "BAC", "CBA")
 """Settings of the channel swap by number: inside the controller, A is green, B red and C blue."""
-PORT_CHANNELS = "ABC"
-"""The port's own channels, on which this board feeds red, green and blue."""
+PORT_CHANNELS = "ABC"  # the port's own channels, on which this board feeds red, green and blue
 
 
 class Video:

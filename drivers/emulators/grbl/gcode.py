@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 from drivers.stage_grbl.lines import AXES, MM_PER_INCH
 
-AxisPositions = tuple[float, float, float]
-"""X, Y and Z in mm."""
+AxisPositions = tuple[float, float, float]  # X, Y and Z in mm
 ORIGIN: AxisPositions = (0.0, 0.0, 0.0)
 
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))?")  # GRBL reads numbers without exponents

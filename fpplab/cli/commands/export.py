@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from fpplab.core.tables import Row
 
 
-_NOT_IN_NAMES = re.compile(r"[^\w.-]")
-"""Of files: the keys of a foreign answer may lead anywhere."""
+_NOT_IN_NAMES = re.compile(r"[^\w.-]")  # of files: the keys of a foreign answer may lead anywhere
 
 
 @app.command("export", rich_help_panel=MEASURE)

@@ -16,8 +16,7 @@ from fpplab.cli.completion import names_of
 if TYPE_CHECKING:
     from fpplab.setup.live.status import LiveStatus
 
-LINE_INTERVAL_S = 0.25
-"""Time in s between two updates of the status line (chosen)."""
+LINE_INTERVAL_S = 0.25  # time in s between two updates of the status line (chosen)
 
 
 @app.command("live", rich_help_panel=PREPARE)

@@ -27,8 +27,7 @@ CONVENTIONS = {
     "F_all": "range of all points",
 }
 """What the errors of form are the range of; those without `_all` are judged."""
-VERDICTS = {True: "passed", False: "not passed", None: "not judged"}
-"""Words for a judgement in reports."""
+VERDICTS = {True: "passed", False: "not passed", None: "not judged"}  # words for a judgement in reports
 
 F = TypeVar("F", bound=FittedFeature)
 

@@ -44,8 +44,7 @@ from fpplab.comparison.acceptance.standard import Standard
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError, DataError
 
-Clouds = Iterable[tuple[str, Cloud]]
-"""Clouds in mm in the camera's frame, each after the name of its source."""
+Clouds = Iterable[tuple[str, Cloud]]  # clouds in mm in the camera's frame, each after the name of its source
 
 
 def verify(standard: Standard, bars: Clouds = (), planes: Clouds = ()) -> Acceptance:

@@ -54,11 +54,9 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def row_gains(sample: FrameSample) -> Floats | None:
-    """Compute by how much the rows of frames are brighter than the fit of their fringe set says.
-
-    Sets of more than three images show the gain of each frame; sets of three only that of their mean, which
-    is given as if of one frame.
-    """
+    """Compute by how much the rows of frames are brighter than the fit of their fringe set says."""
+    # Sets of more than three images show the gain of each frame; sets of three only that of their mean, which
+    # is given as if of one frame.
     # returns (F, R)
     limits, used = sample.limits.of(BandsLimits), sample.measured
     rows = np.flatnonzero(used.sum(axis=1) >= limits.min_row_pixels)
@@ -76,10 +74,8 @@ def row_gains(sample: FrameSample) -> Floats | None:
 
 
 def _evenly_spread_sets(sample: FrameSample, rows: NDArray[np.intp]) -> list[int]:
-    """Sets whose phases are spread evenly over most rows.
-
-    Where a row has few phases, harmonics of the response change its brightness from frame to frame too.
-    """
+    """Sets whose phases are spread evenly over most rows."""
+    # Where a row has few phases, harmonics of the response change its brightness from frame to frame too.
     used, max_unevenness = sample.measured[rows], sample.limits.of(FringeShapeLimits).max_unevenness
     spread = [phase_unevenness(fit.phase[rows], used) < max_unevenness for fit in sample.fits]
     min_share = sample.limits.of(BandsLimits).min_even_rows

@@ -63,11 +63,10 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _scatter_of_gains(sample: FrameSample) -> float:
-    """Standard deviation of the frames' brightness, as a share.
-
-    A sinusoid fitted to the N images of a set takes three of their N gains with it; N - 3 are left in the
-    residuals, and two are seen where pixels of all phases are compared. Sets of three are compared together.
-    """
+    """Standard deviation of the frames' brightness, as a share."""
+    # A sinusoid fitted to the N images of a set takes three of their N gains with it; N - 3 are left in the
+    # residuals, and two are seen where pixels of all phases are compared. Sets of three are compared
+    # together.
     total, freedom = 0.0, 0
     for k, fringe in enumerate(sample.recording.plan.fringes):
         gains = _residual_gains(sample, k) if fringe.images > 3 else None

@@ -112,10 +112,8 @@ def _find_mirrors(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[F
 
 
 def _find_backward_areas(sample: FrameSample, calibration: Calibration, axis: Axis) -> tuple[Mask, float]:
-    """Find where the coordinate runs against the calibration, and the share of the image where it does.
-
-    No surface that both devices see shows that, but its image in another surface does.
-    """
+    """Find where the coordinate runs against the calibration, and the share of the image where it does."""
+    # No surface that both devices see shows that, but its image in another surface does.
     limits = sample.limits.of(InterreflectionLimits)
     side = 24  # of the blocks, in pixels of the sample (chosen): harmonics average out
     shares = changes_along_image(sample.coordinates[axis], calibration, axis, sample.step)
@@ -143,11 +141,9 @@ def _is_backward(blocks: Floats, min_change: float, min_sigmas: float) -> Mask:
 
 
 def _phase_error(sample: FrameSample, axis: Axis, backward: Mask) -> float:
-    """Typical error of the phase of the finest fringes compared with its noise.
-
-    Other light of the same fringes with another phase adds to them here and takes from them there, and
-    shifts their phase by as much. Points that mirrored light has made are wrong altogether.
-    """
+    """Typical error of the phase of the finest fringes compared with its noise."""
+    # Other light of the same fringes with another phase adds to them here and takes from them there, and
+    # shifts their phase by as much. Points that mirrored light has made are wrong altogether.
     plan, used = sample.recording.plan, sample.measured
     sets = [k for k, fringe in enumerate(plan.fringes) if fringe.axis == axis]
     wide, finest = min(sets, key=lambda k: plan.fringes[k].stripes), plan.finest_set(axis)

@@ -22,8 +22,7 @@ from fpplab.diagnosis.sample import FrameSample
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = 3
-"""Patterns of 8 bits that one image of 24 bits carries."""
+COLOURS = 3  # patterns of 8 bits that one image of 24 bits carries
 
 
 class MissingColourLimits(LimitsSection):

@@ -18,11 +18,9 @@ if TYPE_CHECKING:
 
 
 def draw_marker_levels(shown: NDArray[np.integer[Any]], runs: Mapping[str, Floats]) -> Figure:
-    """Draw the levels seen of a marker frame by frame, and those expected of synchronous frames.
-
-    The levels seen are expected to rise with the levels shown: expected are the levels seen of a run, sorted
-    in the order of the levels shown.
-    """
+    """Draw the levels seen of a marker frame by frame, and those expected of synchronous frames."""
+    # The levels seen are expected to rise with the levels shown: expected are the levels seen of a run,
+    # sorted in the order of the levels shown.
     # shown (K,); runs of (K,)
     from fpplab.core.drawing import ACCENT, ALARM, FULL, SECOND, new_figure
 

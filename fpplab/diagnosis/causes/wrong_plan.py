@@ -48,11 +48,9 @@ class WrongPlanLimits(LimitsSection):
 
 
 def _find(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Finding]:
-    """A plan that is not that of the images.
-
-    A coordinate that runs against the calibration is always noticed. Other plans are tried where it does,
-    where the sets contradict each other, or where few pixels become points.
-    """
+    """A plan that is not that of the images."""
+    # A coordinate that runs against the calibration is always noticed. Other plans are tried where it does,
+    # where the sets contradict each other, or where few pixels become points.
     recording, decoded, calibration = evidence.recording, evidence.decoded, evidence.calibration
     assert recording is not None
     assert decoded is not None

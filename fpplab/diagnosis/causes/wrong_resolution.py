@@ -56,10 +56,8 @@ class WrongResolutionLimits(LimitsSection):
 
 
 def _find_moire(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
-    """Errors of the coordinate that repeat along the projector's pixels, but not with the fringes.
-
-    A picture that is scaled before it is shown has places where it is off by up to half a pixel.
-    """
+    """Errors of the coordinate that repeat along the projector's pixels, but not with the fringes."""
+    # A picture that is scaled before it is shown has places where it is off by up to half a pixel.
     spectrum, limit = (
         _strongest_moire(evidence.frames),
         evidence.limits.of(WrongResolutionLimits).max_moire_px,
@@ -136,10 +134,8 @@ def _pixel_pitch(sample: FrameSample, axis: Axis) -> float:
 def _fringe_harmonics(
     sets: list[float], fine: list[float], span: float, limits: WrongResolutionLimits
 ) -> list[float]:
-    """Cycles per px of harmonics that a fit distinguishes from a moiré.
-
-    All those of coarse fringes lie among its frequencies, too close together to be left out.
-    """
+    """Cycles per px of harmonics that a fit distinguishes from a moiré."""
+    # All those of coarse fringes lie among its frequencies, too close together to be left out.
     cycles = [m * own for own in fine for m in range(1, limits.fringe_harmonics + 1)]
     if not fine and (finest := max(sets)) * span >= limits.min_fringes:
         cycles = [m * finest for m in range(1, int(limits.max_cycles / finest) + 1)]

@@ -20,12 +20,10 @@ from fpplab.patterns.phase_error import harmonics
 
 HIGHEST = 12
 """Highest harmonic that counts. Derived: of exponents up to 3 further ones are below 1e-4 of the fringe."""
-EXPONENTS = np.linspace(0.4, 3.5, 156)
-"""Exponents that are tried. Chosen."""
+EXPONENTS = np.linspace(0.4, 3.5, 156)  # exponents that are tried (chosen)
 SECOND_HARMONICS = (-0.25, 0.45)
 """Least and greatest second harmonic of these exponents, as a share of the fringe. Derived: (g-1)/(g+2)."""
-MAX_UNEVENNESS = 0.3
-"""How unevenly phases may be spread over a period, and how asymmetrically. Chosen."""
+MAX_UNEVENNESS = 0.3  # how unevenly phases may be spread over a period, and how asymmetrically (chosen)
 _PHASES = TWO_PI * np.arange(720) / 720
 
 
@@ -78,11 +76,9 @@ class Bend:
 
 
 def fitted_bends(sets: Sequence[Floats], limits: PlanCheckLimits) -> tuple[Bend, ...] | None:
-    """Find the power law that bends the images of each set; None where the images show none.
-
-    Blur takes more of the harmonics of fine fringes, so that each set has an exponent of its own. Where a set
-    does not show it, that of the widest fringes is taken which do.
-    """
+    """Find the power law that bends the images of each set; None where the images show none."""
+    # Blur takes more of the harmonics of fine fringes, so that each set has an exponent of its own. Where a
+    # set does not show it, that of the widest fringes is taken which do.
     # sets (N, P) each, of pixels that see the fringes, in the order of the plan
     own = [_exponent_of_many(levels) if len(levels) > 3 else _exponent_of_three(levels) for levels in sets]
     known = [exponent for exponent in own if exponent is not None]

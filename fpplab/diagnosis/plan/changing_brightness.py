@@ -11,8 +11,7 @@ from fpplab.core.conventions import Floats, Image, phase_steps
 from fpplab.diagnosis.plan.limits import GUESS_LIMITS, GuessLimits
 from fpplab.diagnosis.plan.other_patterns import lit_levels
 
-ITERATIONS = 20
-"""Of gains and offsets in turn. Chosen."""
+ITERATIONS = 20  # of gains and offsets in turn (chosen)
 
 
 def describe_changing_brightness(

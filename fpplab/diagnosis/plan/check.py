@@ -39,23 +39,19 @@ from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import decode
 
-MAX_LEVEL = 65535
-"""Full scale of frames with a response straightened: 16 bits, so that rounding adds nothing."""
+MAX_LEVEL = 65535  # full scale of frames with a response straightened: 16 bits, so that rounding adds nothing
 TROUGH, CREST = 0.25, 0.65
 """Level of zero, and range of grey levels above it, as shares of that full scale. Chosen."""
 EVERY_ORDER = {"order_vote": None, "masks": MaskRules(disagreement_max=0.5, wrong_order_max=1.0)}
 """Of plans that are tried: a pixel left out for a doubtful order would count as one that contradicts."""
-MAX_EQUAL_ORIGIN_RAD = 0.1
-"""Phase origins that are the same. Chosen: a sixtieth of a stripe."""
+MAX_EQUAL_ORIGIN_RAD = 0.1  # phase origins that are the same (chosen: a sixtieth of a stripe)
 
 
 class Disagreement(NamedTuple):
     """How much the sets disagree at the lit pixels, in units of what noise explains; infinite where lost."""
 
-    lower: float
-    """At the lower quantile of the limits."""
-    median: float
-    """At half of them."""
+    lower: float  # at the lower quantile of the limits
+    median: float  # at half of them
 
 
 @dataclass(frozen=True)

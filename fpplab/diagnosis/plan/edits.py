@@ -300,11 +300,9 @@ def upright_edit(sets: Sets, observed: list[Direction]) -> Edit | None:
 
 
 def is_mirrored(sets: Sets, sample: PhaseSample) -> bool:
-    """Tell whether the plan has the scene mirrored, which no camera next to a projector sees.
-
-    Both look at the same side of a surface, so columns and rows of the projector turn in the same sense in
-    the image.
-    """
+    """Tell whether the plan has the scene mirrored, which no camera next to a projector sees."""
+    # Both look at the same side of a surface, so columns and rows of the projector turn in the same sense in
+    # the image.
     along = [indices_along(sets, axis) for axis in AXES]
     if not all(along):
         return False

@@ -75,18 +75,14 @@ class PlanCheckLimits(LimitsSection):
 class GuessLimits:
     """Limits by which images are taken for fringe sets, and stripes for whole numbers."""
 
-    pixels: int = 4_000
-    """Pixels that decide what images are, about. Chosen."""
-    usual_misfit: float = 0.04
-    """Misfit of a sinusoid, as a share of its modulation. Chosen."""
+    pixels: int = 4_000  # pixels that decide what images are, about (chosen)
+    usual_misfit: float = 0.04  # misfit of a sinusoid, as a share of its modulation (chosen)
     min_squares_per_set: float = 12.0
     """Squares of the usual misfit by which another set must reduce the misfit. Chosen."""
     max_misfit: float = 0.2
     """RMS misfit, as a share of the modulation, up to which images are sets of sinusoids. Chosen."""
-    max_stripes: int = 400
-    """Stripes of a coarsest set that is tried. Chosen."""
-    max_whole_difference: float = 0.004
-    """Relative difference from whole numbers of stripes. Chosen."""
+    max_stripes: int = 400  # stripes of a coarsest set that is tried (chosen)
+    max_whole_difference: float = 0.004  # relative difference from whole numbers of stripes (chosen)
     max_visible_periods: float = 1.2
     """Periods of the coarsest set that may be seen if it has one stripe. Derived: gradients are known to a
     tenth."""
@@ -107,10 +103,8 @@ class GuessLimits:
     max_free_misfit: float = 0.02
     """What two waves may leave of a set that is said to have unequal steps. Chosen: a part that moves leaves
     more."""
-    min_equal_misfit: float = 0.05
-    """What equal steps leave of unequal ones, as a share of all. Chosen."""
-    min_misfit_ratio: float = 3.0
-    """The same, as a multiple of what free steps leave. Chosen."""
+    min_equal_misfit: float = 0.05  # what equal steps leave of unequal ones, as a share of all (chosen)
+    min_misfit_ratio: float = 3.0  # the same, as a multiple of what free steps leave (chosen)
     max_step_error_deg: float = 15.0
     """Greatest error of steps that are taken for equal ones in another order. Chosen."""
     min_gain: float = 0.3

@@ -12,10 +12,8 @@ from fpplab.core.depth import DepthRange
 from fpplab.diagnosis.direction import expected_change
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 
-ITERATIONS = 8
-"""Of Newton's method, which converges within four. Chosen."""
-STEP = 1e-3
-"""Of the inverse depth for its derivative, as a share of the inverse of three baselines. Chosen."""
+ITERATIONS = 8  # of Newton's method, which converges within four (chosen)
+STEP = 1e-3  # of the inverse depth for its derivative, as a share of the inverse of three baselines (chosen)
 
 
 Turn = tuple[tuple[int, int], tuple[int, int]]

@@ -17,8 +17,7 @@ from fpplab.core.conventions import TWO_PI, Floats, Image, Mask, phase_steps
 from fpplab.diagnosis.plan.bend import MAX_UNEVENNESS, Bend
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 
-LAGS = (1, 2, 4, 8, 16, 32, 64)
-"""Distances in px over which phases are compared."""
+LAGS = (1, 2, 4, 8, 16, 32, 64)  # distances in px over which phases are compared
 
 MIN_STEPS = 3
 """Fewest images of a set. Derived: a sinusoid has three unknowns."""

@@ -19,8 +19,7 @@ from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.methods.coordinate import Coordinate, coordinate_search
 from fpplab.optimisation.search_method import SearchMethod
 
-SINGLE_SEARCH = Coordinate(first=0.25, finest=0.02)
-"""Of the single-parameter searches at the beginning."""
+SINGLE_SEARCH = Coordinate(first=0.25, finest=0.02)  # of the single-parameter searches at the beginning
 REFINEMENT = Coordinate(first=0.08, finest=0.02)
 """Of the continuous parameters of each plan of the front at the end."""
 

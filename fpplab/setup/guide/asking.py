@@ -17,14 +17,12 @@ from fpplab.core.files import write_parts
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import Fixture, InstructableFixture, PosableFixture
 
-PICTURE = "next_pose.png"
-"""Name of the sketch in the folder of the poses."""
+PICTURE = "next_pose.png"  # name of the sketch in the folder of the poses
 
 OUTLINE, TOP, INK = (60, 200, 255), (70, 110, 255), (255, 255, 255)
 """Colours of the outline, of the board's upper edge, and of text: blue, green, red."""
 
-Bring = Callable[[WantedPose, Path], None]
-"""Brings the board into the pose asked for, which a sketch shows."""
+Bring = Callable[[WantedPose, Path], None]  # brings the board into the pose asked for, which a sketch shows
 
 
 def bring_by(fixture: Fixture, item: str) -> Bring:

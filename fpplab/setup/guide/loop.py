@@ -50,8 +50,7 @@ class GuideLimits:
 
 LIMITS = GuideLimits()
 
-REJECTED = "rejected"
-"""Folder of poses that were rejected, next to those that count."""
+REJECTED = "rejected"  # folder of poses that were rejected, next to those that count
 
 Bar = Callable[[str], AbstractContextManager[Progress]]
 """Shows the progress of a named task while its context lasts."""

@@ -23,8 +23,7 @@ from fpplab.pipeline import decode_session
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 
-RECOMMENDED_POSES = 10
-"""Poses that make a good characterisation (chosen)."""
+RECOMMENDED_POSES = 10  # poses that make a good characterisation (chosen)
 
 
 @dataclass

@@ -26,8 +26,7 @@ from fpplab.phase.quality import coordinate_uncertainty
 from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.setup.live.regions import REGIONS, region_medians
 
-RAYS = (24, 36)
-"""(rows, columns) of the camera's rays that sample its field (chosen)."""
+RAYS = (24, 36)  # (rows, columns) of the camera's rays that sample its field (chosen)
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,8 +31,7 @@ class FocusMeasure:
     whole: float | None  # of the whole image; None where it is known of no region
 
 
-UNKNOWN = FocusMeasure(np.full(REGIONS, np.nan), None)
-"""Where nothing can be measured."""
+UNKNOWN = FocusMeasure(np.full(REGIONS, np.nan), None)  # where nothing can be measured
 
 
 def camera_sharpness(

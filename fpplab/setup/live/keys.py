@@ -19,10 +19,8 @@ try:
 except ImportError:  # Windows
     termios = None  # type: ignore[assignment]
 
-POLL_S = 0.1
-"""Time in s after which the thread that reads keys checks whether it is to end (chosen)."""
-PREFIXES = "\x00\xe0"
-"""What Windows puts before the code of a key that is no character, such as an arrow."""
+POLL_S = 0.1  # time in s after which the thread that reads keys checks whether it is to end (chosen)
+PREFIXES = "\x00\xe0"  # what Windows puts before the code of a key that is no character, such as an arrow
 CTRL_C = "\x03"
 
 

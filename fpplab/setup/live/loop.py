@@ -41,11 +41,9 @@ from fpplab.setup.live.patterns import LivePatterns, View, loaded_patterns
 from fpplab.setup.live.status import LiveStatus, StageState
 from fpplab.targets import Target
 
-EXPOSURE_STEP = 2.0**0.5
-"""Factor by which one key changes the exposure (chosen)."""
+EXPOSURE_STEP = 2.0**0.5  # factor by which one key changes the exposure (chosen)
 
-GAIN_STEP_DB = 1.0
-"""Change of gain by one key, in dB (chosen)."""
+GAIN_STEP_DB = 1.0  # change of gain by one key, in dB (chosen)
 
 REFUSALS = (SettingError, CapabilityError, LimitError, StateError, ConfigError, DataError, SyncError)
 """Errors that refuse an order, after which the set-up continues. Any other is a fault of a device."""

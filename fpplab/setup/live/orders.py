@@ -55,11 +55,8 @@ WORDS = {
 }
 """Key and label of each order."""
 
-BY_KEY = {key: order for order, (key, _) in WORDS.items()}
-"""The order of each key."""
+BY_KEY = {key: order for order, (key, _) in WORDS.items()}  # the order of each key
 
-VIEW_ORDERS = {Order(view.value): view for view in View}
-"""The orders that choose what the projector shows."""
+VIEW_ORDERS = {Order(view.value): view for view in View}  # the orders that choose what the projector shows
 
-Orders = SimpleQueue[Order]
-"""Orders that wait, the first first."""
+Orders = SimpleQueue[Order]  # orders that wait, the first first

@@ -21,11 +21,9 @@ from fpplab.setup.live.orders import WORDS, Order, Orders
 from fpplab.setup.live.status import LiveStatus
 
 LOCAL = "127.0.0.1"
-MAX_BODY_BYTES = 200
-"""Longest body of a request that is read: an order has 20 (chosen)."""
+MAX_BODY_BYTES = 200  # longest body of a request that is read: an order has 20 (chosen)
 
-RELOAD_S = 4.0
-"""Time in s within which a page that was left is loaded again (chosen)."""
+RELOAD_S = 4.0  # time in s within which a page that was left is loaded again (chosen)
 
 TEMPLATE = "page.html"
 

@@ -16,27 +16,19 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 
-SQUARES = 24
-"""Squares of the checkerboard across the projector (chosen)."""
+SQUARES = 24  # squares of the checkerboard across the projector (chosen)
 
 
 class View(StrEnum):
     """What the projector shows."""
 
-    MEASURE = "measure"
-    """The widest and the finest fringes of the plan, step by step: everything is measured."""
-    WHITE = "white"
-    """White."""
-    BLACK = "black"
-    """Black: light of the room, and the camera's black level."""
-    COARSE = "coarse"
-    """The first image of the widest fringes."""
-    FINE = "fine"
-    """The first image of the finest fringes."""
-    CHECKER = "checker"
-    """A checkerboard, to focus the projector by eye."""
-    CROSS = "cross"
-    """The border and the middle of the projector's field."""
+    MEASURE = "measure"  # the widest and the finest fringes of the plan, step by step: everything is measured
+    WHITE = "white"  # white
+    BLACK = "black"  # black: light of the room, and the camera's black level
+    COARSE = "coarse"  # the first image of the widest fringes
+    FINE = "fine"  # the first image of the finest fringes
+    CHECKER = "checker"  # a checkerboard, to focus the projector by eye
+    CROSS = "cross"  # the border and the middle of the projector's field
 
     @property
     def even(self) -> bool:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Mask
 
-REGIONS = (4, 6)
-"""(rows, columns) of regions into which the image is divided (chosen)."""
+REGIONS = (4, 6)  # (rows, columns) of regions into which the image is divided (chosen)
 
 
 def region_slices(shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, int], tuple[slice, slice]]]:

@@ -34,8 +34,7 @@ DECISIVE_EXCESS = 1e4
 REFUSED = re.compile(r"permission|not permitted|may not open|access (is )?denied|errno 13\b", re.IGNORECASE)
 """How systems and libraries say that a user may not open a device."""
 
-SPEED = re.compile(r"([\d.]+) ([MG])bit/s")
-"""The rate of a link as drivers state it."""
+SPEED = re.compile(r"([\d.]+) ([MG])bit/s")  # the rate of a link as drivers state it
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ import bpy
 
 from ..nodes import Nodes
 
-COLOURS = "Col"
-"""Name that Blender gives the colours of a PLY file's vertices."""
+COLOURS = "Col"  # name that Blender gives the colours of a PLY file's vertices
 
 
 def import_cloud(path: str) -> Any:

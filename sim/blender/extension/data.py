@@ -8,14 +8,11 @@ from typing import Any
 
 import bpy
 
-TAG = "fpplab"
-"""Custom property of all data that the extension has made; its value says what it belongs to."""
+TAG = "fpplab"  # custom property of all data that the extension has made; its value says what it belongs to
 
-SCENE, RIG, CLOUD, PICTURE = "scene", "rig", "cloud", "picture"
-"""What tagged data belongs to."""
+SCENE, RIG, CLOUD, PICTURE = "scene", "rig", "cloud", "picture"  # what tagged data belongs to
 
-NAME = "fpplab"
-"""Name of the extension's scene."""
+NAME = "fpplab"  # name of the extension's scene
 
 _PREVIOUS = "fpplab_previous"
 

@@ -17,8 +17,7 @@ from .pictures import make_image
 from .preferences import interpreter_of
 from .settings import forget_shown, remember, settings_of, shown_preview
 
-OperatorResult = set[str]
-"""What Blender expects of an operator."""
+OperatorResult = set[str]  # what Blender expects of an operator
 
 _FINISHED, _CANCELLED = {"FINISHED"}, {"CANCELLED"}
 
@@ -205,8 +204,7 @@ class RemoveRig(bpy.types.Operator):  # type: ignore[misc]
         return _FINISHED
 
 
-OPERATORS = (ShowRig, TakePicture, RecordScan, ImportErrors, FitTwin, RemoveRig)
-"""All of them."""
+OPERATORS = (ShowRig, TakePicture, RecordScan, ImportErrors, FitTwin, RemoveRig)  # all of them
 
 
 def _show(answer: dict[str, Any]) -> None:

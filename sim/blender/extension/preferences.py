@@ -7,8 +7,7 @@ from bpy.props import StringProperty
 
 from .jobs import JobFailedError
 
-ROOT = __package__.removesuffix(".sim.blender.extension")
-"""Name under which Blender has loaded the archive."""
+ROOT = __package__.removesuffix(".sim.blender.extension")  # name under which Blender has loaded the archive
 
 
 class ExtensionPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]

@@ -26,8 +26,7 @@ from sim.matching.loss import board_mask, subsample_pixels
 from sim.matching.reference import Reference
 from sim.parameters import TwinParameters
 
-Complex = NDArray[np.complex128]
-"""Arrays of waves."""
+Complex = NDArray[np.complex128]  # arrays of waves
 
 
 @dataclass(frozen=True, eq=False)

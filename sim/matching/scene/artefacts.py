@@ -52,8 +52,7 @@ class ScanLimits:
 
 LIMITS = ScanLimits()
 
-CLIPPED = 0.98
-"""Share of full scale from which a level counts as saturated: noise lies on that, too (chosen)."""
+CLIPPED = 0.98  # share of full scale from which a level counts as saturated: noise lies on that, too (chosen)
 SHORT = 1e-3
 """Factor of the exposure at which light of a part is computed, so that no highlight is clipped (chosen)."""
 

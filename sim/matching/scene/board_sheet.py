@@ -24,8 +24,7 @@ from sim.appearance import NO_MARGINS, Appearance, BoardSheet
 from sim.matching.reference import LevelStack, Reference
 from sim.twin import Twin
 
-Margins = tuple[float, float, float, float]
-"""On the left, top, right and bottom, in mm."""
+Margins = tuple[float, float, float, float]  # on the left, top, right and bottom, in mm
 _Strip = tuple[Floats, LevelStack]
 """Distances in mm beyond a side of the sheet, and the values of the pixels that are so far away."""
 
