@@ -93,12 +93,7 @@ def white_photons_per_s(world: World) -> float:
 
 @numba.njit(cache=True)
 def _digitise(
-    charge: NDArray[np.float32],
-    full_well: float,
-    gain: float,
-    black: float,
-    full_scale: int,
-    out: Image,
+    charge: NDArray[np.float32], full_well: float, gain: float, black: float, full_scale: int, out: Image
 ) -> None:
     for i in range(charge.size):
         level = min(charge[i], full_well) * gain + black

@@ -50,9 +50,7 @@ FAMILIES = (
         (*_ALL, *_SFNC_2, *_ETHERNET, "TestPattern", "BslResultingAcquisitionFrameRate"),
     ),
     Family(
-        "ace 2 over USB",
-        r"a2A\d+-\d+u",
-        (*_ALL, *_SFNC_2, "TestPattern", "BslResultingAcquisitionFrameRate"),
+        "ace 2 over USB", r"a2A\d+-\d+u", (*_ALL, *_SFNC_2, "TestPattern", "BslResultingAcquisitionFrameRate")
     ),
 )
 """Families whose nodes are known; any other camera is used by the features that it lists."""

@@ -43,11 +43,7 @@ def _opened_controller(serial: str | None, echo: bool) -> Iterator[Controller]:
 
 
 @dlp4500.command()
-def status(
-    serial: ProjectorSerialOption = None,
-    echo: EchoOption = True,
-    json: Json = False,
-) -> None:
+def status(serial: ProjectorSerialOption = None, echo: EchoOption = True, json: Json = False) -> None:
     """Show what the projector is doing and its faults.
 
     Example: `fpplab dlp4500 status`
@@ -93,8 +89,7 @@ def led(
     green: LedOption = 0,
     blue: LedOption = 0,
     inverted: Annotated[
-        bool,
-        typer.Option("--inverted/--not-inverted", help="Whether the board takes 255 for off."),
+        bool, typer.Option("--inverted/--not-inverted", help="Whether the board takes 255 for off.")
     ] = True,
     rig: Annotated[
         str | None,

@@ -117,12 +117,7 @@ class InFlash:
     ) -> Program:
         try:
             return flash_program(
-                slots,
-                exposure_us,
-                self._leds,
-                load_us=self._load_us,
-                dark_us=dark_us,
-                period_us=period_us,
+                slots, exposure_us, self._leds, load_us=self._load_us, dark_us=dark_us, period_us=period_us
             )
         except ValueError as error:
             raise SettingError(self._name, "load", str(error), "change the plan") from error

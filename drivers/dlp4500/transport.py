@@ -82,10 +82,7 @@ def connect(hid: HidModule, name: str, serial: str | None) -> tuple[HidDevice, s
         wire.open_path(interfaces[0][0])
     except OSError as error:
         raise DeviceError(
-            name,
-            "open",
-            f"the USB device cannot be opened ({error})",
-            "close other programs that use it",
+            name, "open", f"the USB device cannot be opened ({error})", "close other programs that use it"
         ) from error
     return wire, interfaces[0][1]
 

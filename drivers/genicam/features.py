@@ -51,10 +51,7 @@ class Features:
             if node.IsReadable() and node.GetValue() == value:
                 return value
             raise CapabilityError(
-                self._device,
-                operation,
-                f"{name} cannot be set to {value}",
-                "this camera has no such setting",
+                self._device, operation, f"{name} cannot be set to {value}", "this camera has no such setting"
             )
         if refusal := _describe_refusal(node, value):
             raise SettingError(
@@ -66,10 +63,7 @@ class Features:
         log_traffic(self._device, "from", f"{name} = {back}")
         if back != value and not (tolerance and abs(back - value) <= tolerance):
             raise SettingError(
-                self._device,
-                operation,
-                f"{name} is {_shown(value)}",
-                f"the camera reads {_shown(back)}",
+                self._device, operation, f"{name} is {_shown(value)}", f"the camera reads {_shown(back)}"
             )
         return back
 

@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Image
 
-PIXELS: dict[str, Any] = {
-    "Mono8": np.uint8,
-    "Mono10": np.uint16,
-    "Mono12": np.uint16,
-    "Mono16": np.uint16,
-}
+PIXELS: dict[str, Any] = {"Mono8": np.uint8, "Mono10": np.uint16, "Mono12": np.uint16, "Mono16": np.uint16}
 """Unpacked formats, whose pixels are right-justified, least significant byte first."""
 PACKED = "Mono12p"
 

@@ -60,7 +60,5 @@ def closed_body(parts: Iterable[Floats]) -> trimesh.Trimesh:
 
     triangles = np.concatenate(list(parts))
     return trimesh.Trimesh(
-        vertices=triangles.reshape(-1, 3),
-        faces=np.arange(3 * len(triangles)).reshape(-1, 3),
-        process=True,
+        vertices=triangles.reshape(-1, 3), faces=np.arange(3 * len(triangles)).reshape(-1, 3), process=True
     )

@@ -215,8 +215,7 @@ PlanName = Annotated[
 ]
 CalibrationOption = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]
 LimitsOption = Annotated[
-    Path | None,
-    typer.Option("--limits", help="File of an expert with other limits than the usual ones."),
+    Path | None, typer.Option("--limits", help="File of an expert with other limits than the usual ones.")
 ]
 DepthOption = Annotated[
     tuple[float, float] | None,

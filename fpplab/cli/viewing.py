@@ -32,12 +32,10 @@ else:
     V = TypeVar("V")
 
 ViewOption = Annotated[
-    bool,
-    typer.Option("--view", help="Watch it live in the viewer; a recording is left for `fpplab view`."),
+    bool, typer.Option("--view", help="Watch it live in the viewer; a recording is left for `fpplab view`.")
 ]
 KeepOpen = Annotated[
-    bool,
-    typer.Option("--keep-open", help="The same; the viewer stays until it is closed, or Ctrl-C."),
+    bool, typer.Option("--keep-open", help="The same; the viewer stays until it is closed, or Ctrl-C.")
 ]
 
 

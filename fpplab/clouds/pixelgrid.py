@@ -36,11 +36,7 @@ class PixelGrid:
 
     @classmethod
     def of(
-        cls,
-        points: GridPoints,
-        pixels: PixelColumnsRows,
-        size: tuple[int, int],
-        *sigmas_mm: GridPoints,
+        cls, points: GridPoints, pixels: PixelColumnsRows, size: tuple[int, int], *sigmas_mm: GridPoints
     ) -> PixelGrid:
         """Arrange points over the pixels that saw them."""
         # points (N, 3) mm; pixels (N, 2); *sigmas_mm (N,) mm

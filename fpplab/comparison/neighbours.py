@@ -102,14 +102,7 @@ def _sort_by_cell(places: Floats, low: Floats, per_cell: float, shape: Starts) -
 
 @njit(inline="always")
 def _scan(
-    px: float,
-    py: float,
-    pz: float,
-    points: Floats,
-    begin: int,
-    end: int,
-    best: float,
-    best_at: int,
+    px: float, py: float, pz: float, points: Floats, begin: int, end: int, best: float, best_at: int
 ) -> tuple[float, int]:
     for k in range(begin, end):
         dx, dy, dz = points[k, 0] - px, points[k, 1] - py, points[k, 2] - pz

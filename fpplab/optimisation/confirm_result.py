@@ -26,12 +26,7 @@ class ConfirmedPlan:
     confirmation: Confirmation  # figures of both plans, and the gain
 
     def summary(self) -> dict[str, Any]:
-        return {
-            "rig": self.rig,
-            "plan": str(self.plan),
-            "images": self.images,
-            **self.confirmation.summary(),
-        }
+        return {"rig": self.rig, "plan": str(self.plan), "images": self.images, **self.confirmation.summary()}
 
 
 def check_confirmable(rig: str, problem: SearchProblem, source: str) -> None:

@@ -15,11 +15,7 @@ from fpplab.core.files import write_text
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import with_calibrations
-from fpplab.optimisation.candidate_runner import (
-    BudgetExhausted,
-    CandidateObserver,
-    CandidateRunner,
-)
+from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateObserver, CandidateRunner
 from fpplab.optimisation.cluster import Meeting
 from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.limits import RigLimits

@@ -275,11 +275,7 @@ def _equations(group: FringeGroup, sums: Floats) -> tuple[Floats, Floats, Floats
     )
     seen_images = visible @ of_images
     right = np.concatenate(
-        [
-            np.tensordot(bent, seen_images, 2),
-            (seen_images * fringe).sum(axis=1),
-            shown.T @ totals[count:-1],
-        ]
+        [np.tensordot(bent, seen_images, 2), (seen_images * fringe).sum(axis=1), shown.T @ totals[count:-1]]
     )
     sizes = len(bent), len(fringe), len(group.members)
     priors = COMMON_ERRORS.harmonic_prior, COMMON_ERRORS.gain_prior, COMMON_ERRORS.offset_prior_grey

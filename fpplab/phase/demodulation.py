@@ -14,9 +14,7 @@ from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.error_model import ErrorModel, misfit_limits
 from fpplab.phase.limits import NOISE, ORDERS
-from fpplab.phase.unwrapping import (
-    WavelengthSequence,
-)
+from fpplab.phase.unwrapping import WavelengthSequence
 
 
 @dataclass(frozen=True, eq=False)

@@ -163,11 +163,7 @@ def _fit_noise_model(groups: Sequence[FringeGroup], fits: Sequence[HarmonicsFit]
 
 
 def _noise_beside_saturation(
-    samples: Sequence[Image],
-    fringes: Sequence[FringeSet],
-    saturation: int,
-    grey: float,
-    step: float,
+    samples: Sequence[Image], fringes: Sequence[FringeSet], saturation: int, grey: float, step: float
 ) -> NoiseModel | None:
     """The line through what sinusoids leave of unsaturated samples, where every pixel has saturated ones."""
     pixels = samples[0].shape[1]

@@ -15,9 +15,7 @@ from fpplab.core.conventions import TWO_PI, Floats
 from fpplab.phase.bounds import PositionInterval
 from fpplab.phase.demodulation import AxisPhases
 from fpplab.phase.limits import ORDERS
-from fpplab.phase.unwrapping import (
-    WavelengthSequence,
-)
+from fpplab.phase.unwrapping import WavelengthSequence
 
 
 @dataclass(frozen=True, eq=False)

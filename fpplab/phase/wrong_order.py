@@ -208,14 +208,7 @@ def _mark_and_count_uncleared(
 
 @compiled
 def _chi2_of_shift(
-    axis: int,
-    recipe: Any,
-    offsets: Any,
-    weights: Any,
-    shares: Any,
-    pixel: int,
-    sign: float,
-    shift_index: int,
+    axis: int, recipe: Any, offsets: Any, weights: Any, shares: Any, pixel: int, sign: float, shift_index: int
 ) -> tuple[float, float, float]:
     """χ² of one pixel's sets with the orders of a shifted position, their mean, and its inverse variance."""
     # The mean is counted from the position.

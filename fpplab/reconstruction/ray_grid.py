@@ -57,11 +57,7 @@ class RayGrid:
             finer = np.moveaxis(np.tensordot(_cubic_weights(nodes), finer, (1, axis)), 0, axis)
         per_step = LIMITS.finer_steps * (np.array(NODES) - 1) / (self.upper - self.lower)
         _interpolate(
-            np.ascontiguousarray(points),
-            self.lower,
-            per_step,
-            np.ascontiguousarray(finer, np.float32),
-            out,
+            np.ascontiguousarray(points), self.lower, per_step, np.ascontiguousarray(finer, np.float32), out
         )
 
 
@@ -79,13 +75,7 @@ def _cubic_weights(nodes: int) -> Floats:
 
 
 @njit(parallel=True, nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _interpolate(
-    points: AnyPoints,
-    lower: Floats,
-    per_step: Floats,
-    values: Singles,
-    out: Singles,
-) -> None:
+def _interpolate(points: AnyPoints, lower: Floats, per_step: Floats, values: Singles, out: Singles) -> None:
     nodes_x, nodes_y, nodes_z, count = values.shape
     flat = values.reshape(-1)  # with one index instead of four
     per_x, per_y = nodes_y * nodes_z * count, nodes_z * count

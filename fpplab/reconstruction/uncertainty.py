@@ -44,10 +44,7 @@ from fpplab.reconstruction.triangulation import CoordinateNoise
 
 
 def with_uncertainty(
-    cloud: Cloud,
-    calibration: Calibration,
-    noise: CoordinateNoise,
-    progress: Progress = no_progress,
+    cloud: Cloud, calibration: Calibration, noise: CoordinateNoise, progress: Progress = no_progress
 ) -> Cloud:
     """Add the calibration's contribution to each point's uncertainty."""
     if calibration.uncertainty is None:

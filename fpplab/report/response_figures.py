@@ -49,13 +49,7 @@ def response_curve(response: ResponseLike, levels: Floats) -> Figure:
     shown, measured = levels.T
     axis = np.linspace(0, 1, 200)
     figure, (left, right) = side_by_side(3.2, (1.3, 1.0))
-    left.plot(
-        axis,
-        response.apply(axis),
-        color=SECOND,
-        linewidth=1.5,
-        label=_formula(response),
-    )
+    left.plot(axis, response.apply(axis), color=SECOND, linewidth=1.5, label=_formula(response))
     left.plot(shown, measured, "o", color=ACCENT, markersize=4, label="measured")
     left.set(
         xlabel="level shown, of full scale",

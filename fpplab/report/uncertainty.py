@@ -9,16 +9,7 @@ from matplotlib.figure import Figure
 
 from fpplab.clouds import Cloud
 from fpplab.clouds.cloud import CloudPoints
-from fpplab.core.drawing import (
-    FULL,
-    HALF,
-    as_png,
-    colour_bar,
-    draw_map,
-    map_height,
-    new_figure,
-    value_range,
-)
+from fpplab.core.drawing import FULL, HALF, as_png, colour_bar, draw_map, map_height, new_figure, value_range
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
 from fpplab.phase.common_errors import show_common_errors

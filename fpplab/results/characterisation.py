@@ -34,11 +34,7 @@ class CharacterisationResult:
 
     def summary(self) -> dict[str, Any]:
         """Collect what `fpplab characterise --json` prints."""
-        return {
-            **self.figures(),
-            "provenance": self.provenance.summary(),
-            "report": str(self.report_file),
-        }
+        return {**self.figures(), "provenance": self.provenance.summary(), "report": str(self.report_file)}
 
 
 @dataclass(frozen=True, eq=False)

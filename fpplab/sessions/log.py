@@ -80,10 +80,7 @@ def begin_session_log(path: Path) -> None:
 
 
 def end_session_log(
-    place: Path,
-    kind: type[BaseException] | None,
-    error: BaseException | None,
-    trace: TracebackType | None,
+    place: Path, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
 ) -> None:
     """End the log of a session, if there is one: an exit callback."""
     log = _open.pop(place, None)

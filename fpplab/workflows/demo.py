@@ -87,12 +87,7 @@ def _characterise(rig: Rig, request: DemoRequest, observer: Observer) -> Charact
 
 
 def _scan_artefact(
-    rig: Rig,
-    name: str,
-    plan: Plan,
-    characterised: Characterisation,
-    request: DemoRequest,
-    observer: Observer,
+    rig: Rig, name: str, plan: Plan, characterised: Characterisation, request: DemoRequest, observer: Observer
 ) -> DemoScan:
     """Measure an artefact in its first pose, and compare it with its true shape there."""
     from fpplab import artefacts

@@ -157,13 +157,7 @@ def _check_devices(
 
 
 def _scan_item(
-    rig: Rig,
-    plan: Plan,
-    calibration: Calibration,
-    item: str,
-    path: Path,
-    force: bool,
-    observer: Observer,
+    rig: Rig, plan: Plan, calibration: Calibration, item: str, path: Path, force: bool, observer: Observer
 ) -> None:
     from fpplab.pipeline import finish_scan, take_or_resume_session
 

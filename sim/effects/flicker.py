@@ -30,8 +30,7 @@ class FlickerParameter:
     projector_flicker: float = field(
         default=0.0,
         metadata=table_entry(
-            "Standard deviation of the projector's light from frame to frame, relative.",
-            "projector.flicker",
+            "Standard deviation of the projector's light from frame to frame, relative.", "projector.flicker"
         ),
     )
 

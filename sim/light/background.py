@@ -38,10 +38,7 @@ class Background:
         self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None
 
     def pictures(
-        self,
-        setup: SceneState,
-        light: Sequence[PatternLevels],
-        pixels: PixelIndices | None = None,
+        self, setup: SceneState, light: Sequence[PatternLevels], pixels: PixelIndices | None = None
     ) -> PatternLevels:
         """Compute the irradiance that the camera sees of the surroundings, without vignetting."""
         # light (rows, columns); returns (n, height, width)

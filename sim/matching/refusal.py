@@ -15,14 +15,7 @@ from fpplab.diagnosis.causes.of_matching_and_search import ARTEFACT_MISFIT, NO_G
 from fpplab.diagnosis.causes.response import RESPONSE
 from fpplab.diagnosis.causes.stale_calibration import STALE_CALIBRATION
 
-ACCEPTABLE = (
-    STALE_CALIBRATION,
-    RESPONSE,
-    ARTEFACT_MISFIT,
-    LENS_NOT_LOCKED,
-    UNLIKE_IMAGES,
-    NO_GAIN,
-)
+ACCEPTABLE = (STALE_CALIBRATION, RESPONSE, ARTEFACT_MISFIT, LENS_NOT_LOCKED, UNLIKE_IMAGES, NO_GAIN)
 """Causes for which a matching is refused unless they are accepted."""
 
 

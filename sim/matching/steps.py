@@ -265,8 +265,7 @@ CHANGING_STEPS = _steps_of(VARYING_EFFECTS)
 """What changes from frame to frame: found before noise is compared, and again with the light at the end."""
 FIRST_STEPS = (
     MatchingStep(
-        "points",
-        lambda at: geometry_fit.refine_by_reprojection(at.parameters, at.reference.characterisation),
+        "points", lambda at: geometry_fit.refine_by_reprojection(at.parameters, at.reference.characterisation)
     ),
     MatchingStep("light", lambda at: at.fit(at.white, "ink", "projector_blur")),
     MatchingStep(

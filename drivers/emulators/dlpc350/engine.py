@@ -10,11 +10,7 @@ from drivers.clock import Clock
 from drivers.display.window import VideoFrame
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.layout import Values
-from drivers.dlp4500.protocol import (
-    COLOURS,
-    DisplayMode,
-    Source,
-)
+from drivers.dlp4500.protocol import COLOURS, DisplayMode, Source
 from drivers.dlp4500.sequence import SIZE, SOLID
 from drivers.emulators.dlpc350.light import FlashImage, ProjectedLight
 from drivers.emulators.dlpc350.policy import Dlpc350Policy

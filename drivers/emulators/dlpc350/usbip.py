@@ -24,12 +24,7 @@ from types import TracebackType
 from typing import Self
 
 from drivers.dlp4500.transport import INTERFACE, PRODUCT, VENDOR
-from drivers.emulators.dlpc350.descriptors import (
-    INWARDS,
-    ControlEndpoint,
-    endpoint_in,
-    endpoint_out,
-)
+from drivers.emulators.dlpc350.descriptors import INWARDS, ControlEndpoint, endpoint_in, endpoint_out
 from drivers.emulators.dlpc350.usb import EmulatedHid
 from fpplab.core.errors import DeviceError
 

@@ -10,14 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from drivers.emulators.grbl.drive import Drive, Rail
-from drivers.emulators.grbl.gcode import (
-    AxisPositions,
-    GcodeError,
-    Modes,
-    Move,
-    interpret,
-    read_block,
-)
+from drivers.emulators.grbl.gcode import AxisPositions, GcodeError, Modes, Move, interpret, read_block
 from drivers.emulators.grbl.settings import DEFAULTS, GrblSettings
 from drivers.stage_grbl.lines import AXES, MM_PER_INCH
 

@@ -9,13 +9,7 @@ import numpy as np
 
 from fpplab.artefacts.base import Artefact
 from fpplab.artefacts.lengths import FeatureLength, FlatFace
-from fpplab.artefacts.meshing import (
-    closed_body,
-    fan_triangles,
-    raised,
-    rectangle_corners,
-    strip_triangles,
-)
+from fpplab.artefacts.meshing import closed_body, fan_triangles, raised, rectangle_corners, strip_triangles
 from fpplab.core.conventions import TWO_PI, Floats
 
 if TYPE_CHECKING:

@@ -100,8 +100,7 @@ def characterise_command(
     corrected: Annotated[
         Path | None,
         typer.Option(
-            "--correct",
-            help="Calibration to correct by the sessions, one to three poses of its board.",
+            "--correct", help="Calibration to correct by the sessions, one to three poses of its board."
         ),
     ] = None,
     confirm: Annotated[

@@ -38,8 +38,7 @@ def check_command(
     ] = None,
     page: ReportOption = None,
     steps: Annotated[
-        bool,
-        typer.Option("--steps", help="Link, lamp, pulses, rate, exposure, focus, one after another."),
+        bool, typer.Option("--steps", help="Link, lamp, pulses, rate, exposure, focus, one after another.")
     ] = False,
     force: Force = False,
     json: Json = False,

@@ -32,8 +32,7 @@ def live_command(
         ),
     ] = None,
     calibration: Annotated[
-        Path | None,
-        typer.Option("--calibration", help="Show overlap, angle and expected uncertainty by it."),
+        Path | None, typer.Option("--calibration", help="Show overlap, angle and expected uncertainty by it.")
     ] = None,
     distance: Annotated[
         float | None,

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 @app.command("view", rich_help_panel=MEASURE)
 def view_command(
     session: Annotated[
-        Path,
-        typer.Argument(help="A session; or what `--view` left, as a file (.rrd) or its folder."),
+        Path, typer.Argument(help="A session; or what `--view` left, as a file (.rrd) or its folder.")
     ],
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="Default: the one in the session.")

@@ -10,13 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.clouds import Cloud
-from fpplab.comparison.acceptance.fitting import (
-    FittedFeature,
-    Plane,
-    Sphere,
-    fit_without_worst,
-    peak_to_peak,
-)
+from fpplab.comparison.acceptance.fitting import FittedFeature, Plane, Sphere, fit_without_worst, peak_to_peak
 from fpplab.comparison.acceptance.standard import QUANTITIES, Standard
 from fpplab.core.conventions import Floats, Mask
 
@@ -66,11 +60,7 @@ class MeasuredFeature:
 
     def summary(self) -> dict[str, Any]:
         """Collect counts and the root mean square, which shows how much of a span is noise."""
-        return {
-            "rms_um": self.rms_um,
-            "points": len(self.points),
-            "discarded": int((~self.kept).sum()),
-        }
+        return {"rms_um": self.rms_um, "points": len(self.points), "discarded": int((~self.kept).sum())}
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,11 +21,7 @@ from typing import TypeVar
 import numpy as np
 
 from fpplab.clouds import Cloud
-from fpplab.comparison.acceptance.fitting import (
-    Sphere,
-    fit_plane,
-    fit_sphere,
-)
+from fpplab.comparison.acceptance.fitting import Sphere, fit_plane, fit_sphere
 from fpplab.comparison.acceptance.results import (
     Acceptance,
     BallBarTest,

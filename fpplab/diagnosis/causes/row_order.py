@@ -137,10 +137,7 @@ ROW_ORDER = FaultCause(
     "coordinate from the last column to the first, beside that between neighbours",
     limit=f"{RowOrderLimits().max_ratio:g} times, in squares; {RowOrderLimits().max_steps_around:g} times",
     seen_in="frames",
-    detectors=(
-        Detector(DetectionStage.FRAMES, _find),
-        Detector(DetectionStage.POINTS, _find_moved_around),
-    ),
+    detectors=(Detector(DetectionStage.FRAMES, _find), Detector(DetectionStage.POINTS, _find_moved_around)),
     picture=Picture(Needs.FRAMES, _draw),
     side_effects=frozenset({"wrong_plan", "stale_calibration", "vibration"}),
 )

@@ -44,12 +44,7 @@ from fpplab.setup.rig_check.devices import (
     with_mains,
 )
 from fpplab.setup.rig_check.marker import marker
-from fpplab.setup.rig_check.marker_check import (
-    UNCERTAIN_EXCESS,
-    MarkerInspection,
-    MarkerRun,
-    recover_camera,
-)
+from fpplab.setup.rig_check.marker_check import UNCERTAIN_EXCESS, MarkerInspection, MarkerRun, recover_camera
 
 UNSEEN_COLOUR = "the colour of the light, and which LED is off: a grey camera does not show them"
 """What no frame shows."""

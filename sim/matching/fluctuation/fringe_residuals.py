@@ -86,11 +86,7 @@ def _of_pose(reference: Reference, parameters: TwinParameters, pose: int) -> Ite
 
 
 def residual_of_set(
-    levels: Floats,
-    slopes: Floats,
-    pixels: PixelIndices,
-    fringe: FringeSet,
-    place: tuple[int, int] = (0, 0),
+    levels: Floats, slopes: Floats, pixels: PixelIndices, fringe: FringeSet, place: tuple[int, int] = (0, 0)
 ) -> FringeResidual:
     """Take offset, fringes, flicker and motion off the frames of a set."""
     # levels (N, P); slopes (2, P); pixels (P,)

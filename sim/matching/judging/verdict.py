@@ -40,11 +40,7 @@ class TwinVerdictLimits:
 
 LIMITS = TwinVerdictLimits()
 
-RUINOUS = {
-    NO_GAIN: 1.0,
-    UNLIKE_IMAGES: PLAUSIBLE.max_image_difference,
-    LENS_NOT_LOCKED: 1.0,
-}
+RUINOUS = {NO_GAIN: 1.0, UNLIKE_IMAGES: PLAUSIBLE.max_image_difference, LENS_NOT_LOCKED: 1.0}
 """Excess from which on the twin must not be used, unless the cause is accepted."""
 
 

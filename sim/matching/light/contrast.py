@@ -138,10 +138,7 @@ def board_contrasts(reference: Reference, twin: Twin, poses: Sequence[int]) -> F
 
 
 def with_common_error(
-    reference: Reference,
-    twin: Twin,
-    names: Sequence[str],
-    samples: Sequence[ContrastSample],
+    reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[ContrastSample]
 ) -> TwinParameters:
     """Add to standard uncertainties that a whole scan's contrast may be off, as that of its tiles is."""
     # A fit of one scan takes for sharpness what all its pixels have in common, whatever it comes from.

@@ -72,11 +72,7 @@ def fit_light(
 
 
 def _fit_one_step(
-    reference: Reference,
-    twin: Twin,
-    names: Sequence[str],
-    samples: Sequence[LightSample],
-    residual: Floats,
+    reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[LightSample], residual: Floats
 ) -> tuple[float, Twin, Floats, dict[str, float]]:
     """Make one step: the relative gain, the twin after it, its residuals and standard uncertainties."""
     start = twin.parameters
@@ -115,11 +111,7 @@ def _bounded_step(normal: Floats, gradient: Floats, lower: Floats, upper: Floats
 
 
 def level_slopes(
-    reference: Reference,
-    twin: Twin,
-    names: Sequence[str],
-    samples: Sequence[LightSample],
-    residual: Floats,
+    reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[LightSample], residual: Floats
 ) -> Floats:
     """Differentiate the twin's levels by parameters, by finite differences."""
     # residual (N,); returns (N, C)
@@ -147,11 +139,7 @@ def _standard_errors(
 
 
 def _step_candidates(
-    reference: Reference,
-    twin: Twin,
-    names: Sequence[str],
-    samples: Sequence[LightSample],
-    step: Floats,
+    reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[LightSample], step: Floats
 ) -> Iterator[tuple[Twin, Floats]]:
     """Apply the step, and halves of it; yield the twin and its residuals."""
     start = twin.parameters

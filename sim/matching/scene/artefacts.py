@@ -177,10 +177,7 @@ def _find_mesh_pose(cloud: Cloud, mesh: trimesh.Trimesh, nominal: RigidTransform
 
 
 def compare_artefacts(
-    twin: Twin,
-    scans: Sequence[BenchScan],
-    twin_calibration: Calibration,
-    progress: Progress = no_progress,
+    twin: Twin, scans: Sequence[BenchScan], twin_calibration: Calibration, progress: Progress = no_progress
 ) -> list[ArtefactComparison]:
     comparisons = []
     for number, scan in enumerate(scans, 1):

@@ -77,9 +77,7 @@ def with_surfaces(parameters: TwinParameters, matches: Sequence[SurfaceMatch]) -
     surfaces = {match.scan.item: match.surface for match in matches}
     placed = {match.scan.item: match.scan.T_camera_item for match in matches}
     return replace(
-        parameters,
-        surfaces={**parameters.surfaces, **surfaces},
-        placed={**parameters.placed, **placed},
+        parameters, surfaces={**parameters.surfaces, **surfaces}, placed={**parameters.placed, **placed}
     )
 
 

@@ -27,8 +27,5 @@ class Diffuse(Material):
     def paint(self) -> Paint:
         """Translate into a matt base layer without a coat."""
         return Paint(
-            self.reflectance,
-            matt(self.roughness),
-            relief=relief_of(self.ridges),
-            grain=grain_of(self.grain),
+            self.reflectance, matt(self.roughness), relief=relief_of(self.ridges), grain=grain_of(self.grain)
         )

@@ -1,0 +1,118 @@
+"""`fpplab session info|verify|repair`: what a session is, whether it is whole, and what can be kept of it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import MEASURE, Commands, Json, app
+from fpplab.core.errors import DataError
+
+SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder of the session.")]
+
+session_app = typer.Typer(
+    cls=Commands, help="Tell what a session is, verify it, or repair it.", no_args_is_help=True
+)
+app.add_typer(session_app, name="session", rich_help_panel=MEASURE)
+
+
+@session_app.callback()
+def _session() -> None:
+    """Tell what a session is, verify it, or repair it."""
+
+
+@session_app.command("info")
+def info_command(session: SessionPath, json: Json = False) -> None:
+    """Tell what a session is: format, plan, frames, rig, devices, times and results. Reads no frame.
+
+    Example: `fpplab session info pyramid`
+    """
+    from fpplab.sessions.inspection import describe_session
+    from fpplab.sessions.session import Session
+
+    description = describe_session(Session.open(session))
+    console.print_result(description, json, lambda: _show(description))
+
+
+def _show(description: dict[str, Any]) -> None:
+    from fpplab.core.units import readable_bytes
+
+    origin = description["origin"] or {}
+    size = description["size"]
+    devices = origin.get("devices") or {}
+    rows = {
+        "format": description["format"],
+        "frames": f"{description['frames']} of {description['images']}",
+        "size": f"{size[0]} x {size[1]} px, {description['bits']} bits" if size else "",
+        "rig": "imported images" if description["imported"] else description["rig"],
+        "taken": " to ".join(description["taken"]) if description["taken"] else "not recorded",
+        "by": f"fpplab {origin['version']} on {origin['host']}" if origin else "not recorded",
+        **{name: f"{device['model']} {device['serial']}".strip() for name, device in devices.items()},
+        "results": ", ".join(description["results"]) or "none",
+        "on disk": readable_bytes(description["bytes"]),
+    }
+    console.table(description["session"], ["", ""], [[name, value] for name, value in rows.items()])
+
+
+@session_app.command("verify")
+def verify_session_command(session: SessionPath, json: Json = False) -> None:
+    """Read every file of a session, compare all checksums, and name everything that is wrong.
+
+    Frames that have not been taken yet are no fault. The exit code is 4 where anything is damaged or gone;
+    `fpplab session repair` keeps what is whole.
+
+    Example: `fpplab session verify pyramid`
+    """
+    from fpplab.sessions.inspection import session_faults
+
+    with console.progress("Reading") as report:
+        faults = session_faults(session, report)
+    answer = {
+        "whole": not faults,
+        "faults": [{"file": fault.file, "found": fault.message} for fault in faults],
+    }
+
+    def show() -> None:
+        for fault in faults:
+            console.stdout.print(fault.message, markup=False)
+        summary = f"{len(faults)} faults; `fpplab session repair {session}` keeps what is whole"
+        console.stdout.print(summary if faults else f"{session}: is whole", markup=False)
+
+    console.print_result({"session": str(session), **answer}, json, show)
+    if faults:
+        raise console.CommandExit(DataError.exit_code)
+
+
+@session_app.command("repair")
+def repair_command(session: SessionPath, json: Json = False) -> None:
+    """Make a damaged session readable again: keep what is whole, and name what is lost.
+
+    Nothing is deleted: damaged files go to SESSION.damaged, next to it. Plan and rig are restored from their
+    copies in the session. Frames that are lost are missing then: the scan's own command takes them again,
+    which is right only where the part has not moved since.
+
+    Example: `fpplab session repair pyramid`
+    """
+    from fpplab.sessions.repair import repair_session
+
+    with console.progress("Repairing") as report:
+        repair = repair_session(session, report)
+
+    def show() -> None:
+        say = console.stdout.print
+        for name in repair.restored:
+            say(f"restored: {name}", markup=False)
+        for loss in repair.lost:
+            say(f"lost: {loss}", markup=False)
+        for place in repair.aside:
+            say(f"set aside: {place}", markup=False)
+        say(f"{session}: {'is whole, nothing was changed' if repair.is_unchanged else 'is readable again'}, "
+            f"{repair.kept} frames", markup=False)  # fmt: skip
+
+    console.print_result(
+        {"session": str(session), "unchanged": repair.is_unchanged, **asdict(repair)}, json, show
+    )
