@@ -28,15 +28,9 @@ VideoFrame = NDArray[np.uint8]  # uint8 (height, width, 3): red, green, blue
 
 
 class Display(Protocol):
-    """A display that a projector shows, or that its video port is connected to.
+    """A display that a projector shows, or that its video port is connected to."""
 
-    Attributes
-    ----------
-    vsync_s : float
-        Period of the video frames in s; known once open.
-    """
-
-    vsync_s: float
+    vsync_s: float  # period of the video frames in s; known once open
 
     def open(self) -> None:
         """Open the display and show black, or raise `DeviceError` when that is not possible."""

@@ -11,22 +11,13 @@ from fpplab.devices.device import DeviceInfo
 
 @dataclass(frozen=True)
 class FoundDevice(DeviceInfo):
-    """A device that is connected, and how a rig file would name it.
+    """A device that is connected, and how a rig file would name it."""
 
-    Attributes
-    ----------
-    section : dict of str to Any
-        Its section in a rig file, as far as it is known; empty where no driver opens it.
-    example : str
-        Rig file that comes with fpplab and has such a device; empty where there is none.
-    is_certain : bool
-        Whether it certainly is a device of that kind. A serial port may belong to any device, and the main
-        display is the operator's: these are used only if they are named.
-    """
-
-    section: Mapping[str, Any] = field(default_factory=dict)
-    example: str = ""
+    section: Mapping[str, Any] = field(default_factory=dict)  # of a rig file; empty where no driver opens it
+    example: str = ""  # rig file that comes with fpplab and has such a device
     is_certain: bool = True
+    """Otherwise it is used only if it is named: any device may be at a serial port, and the main display is
+    the operator's."""
 
     @property
     def title(self) -> str:

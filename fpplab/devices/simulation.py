@@ -30,23 +30,7 @@ class FrameSampler(Protocol):
         """The true calibration of the simulation."""
 
     def mesh(self, item: str) -> trimesh.Trimesh:
-        """Give the true shape of an item in the camera's frame.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item.
-
-        Returns
-        -------
-        trimesh.Trimesh
-            In mm, where the item stands.
-
-        Raises
-        ------
-        ConfigError
-            There is no such item, or it is flat.
-        """
+        """Give the true shape in mm of an item, where it stands in the camera's frame."""
 
     def frames(
         self,
@@ -57,34 +41,9 @@ class FrameSampler(Protocol):
         seed: int,
         columns: Columns | None = None,
     ) -> list[Image]:
-        """Take frames of some rows and columns, with noise and vibration.
+        """Take frames (R, C) of some rows and columns, or all columns, with noise and vibration by a seed.
 
-        Light is computed once for the same item, patterns, rows and columns; another seed draws other noise.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item.
-        patterns : sequence of Pattern
-            That the projector shows.
-        settings : CameraSettings
-            Of the camera.
-        rows : Rows
-            Rows of the image.
-        seed : int
-            Of noise and vibration, not negative.
-        columns : Columns, optional
-            Columns of the image; all by default.
-
-        Returns
-        -------
-        list of Image
-            One for each pattern, (R, C).
-
-        Raises
-        ------
-        ConfigError
-            There is no such item.
+        Light is computed once for the same item, patterns, rows and columns.
         """
 
 
@@ -93,20 +52,10 @@ class Predictable(Protocol):
     """A simulation that can be sampled: what a search that screens by predictions needs of a rig."""
 
     def image_part_sampler(self, world_draw: int = 0) -> FrameSampler:
-        """Give a sampler of image parts of the simulation as it stands.
+        """Give a sampler of image parts, which lives as long as the rig is open.
 
-        Called on the open rig.
-
-        Parameters
-        ----------
-        world_draw : int
-            0 for the simulation itself; any other draws one that it could as well be, within the
-            uncertainty of what was fitted to a bench, and the same one each time.
-
-        Returns
-        -------
-        FrameSampler
-            Lives as long as the rig is open.
+        A `world_draw` other than 0 draws a simulation that this one could as well be, within the uncertainty
+        of what was fitted to a bench, and the same one each time.
         """
         ...
 
@@ -125,15 +74,9 @@ class Seeded(Protocol):
     """
 
     def draw(self, numbers: Iterable[int]) -> None:
-        """Let the noise of the next frames follow from these numbers and the world's seed.
+        """Let the noise of the next frames follow from these numbers, not negative, and the world's seed.
 
-        Called before frames are acquired. Numbers left over from an earlier call are discarded; frames beyond
-        the numbers follow from their own count.
-
-        Parameters
-        ----------
-        numbers : iterable of int
-            Not negative, one for each of the next frames.
+        Numbers left over from an earlier call are discarded; frames beyond them follow from their own count.
         """
         ...
 
@@ -152,15 +95,7 @@ class NumberedFrames(Protocol):
         ...
 
     def number_frames(self, numbers: Sequence[int], then: int) -> None:
-        """Give the next frames these numbers.
-
-        Parameters
-        ----------
-        numbers : sequence of int
-            Not negative, one for each of the next frames.
-        then : int
-            Number of the frame that follows them, from which is counted on.
-        """
+        """Give the next frames these numbers, not negative, and count on from `then`."""
         ...
 
 
@@ -172,13 +107,8 @@ class Turnable(Protocol):
     """
 
     def turn(self, convergence_deg: float) -> None:
-        """Turn the projector towards the camera.
+        """Turn the projector by degrees from the world file's direction, positive towards the camera.
 
-        Called between frames, on the open rig; the frames that follow are taken in the new arrangement.
-
-        Parameters
-        ----------
-        convergence_deg : float
-            Degrees from the world file's direction, positive towards the camera.
+        Called between frames; those that follow are taken in the new arrangement.
         """
         ...

@@ -51,51 +51,14 @@ class Objective(ABC):
 
     @abstractmethod
     def value(self, candidate: MeasuredCandidate) -> float:
-        """Compute the objective.
-
-        Parameters
-        ----------
-        candidate : MeasuredCandidate
-            A candidate with scores: one that was refused or failed is not asked for.
-
-        Returns
-        -------
-        float
-            In `unit`.
-        """
+        """Compute the objective, in `unit`, of a candidate that has scores."""
 
     def spread(self, candidate: MeasuredCandidate) -> float | None:
-        """Compute the standard deviation over the seeds of the noise; None where it is not known.
-
-        Parameters
-        ----------
-        candidate : MeasuredCandidate
-            A candidate with scores.
-
-        Returns
-        -------
-        float or None
-            In `unit`.
-        """
+        """Compute the standard deviation over the seeds of the noise; None where it is not known."""
         return None
 
     def excess(self, value: float, of_start: float, limit: float) -> float:
-        """Compute by how much a value exceeds its limit.
-
-        Parameters
-        ----------
-        value : float
-            Of a candidate.
-        of_start : float
-            Of the study's start, to which a limit may be relative.
-        limit : float
-            What the study says for `limit`.
-
-        Returns
-        -------
-        float
-            As a share, so that several limits can be added up; not above 0 where the limit is kept.
-        """
+        """Compute by which share, to be added up, a value exceeds a limit, which the start's may scale."""
         raise NotImplementedError(f"{self.key} has a limit, and no excess over it")
 
     @property

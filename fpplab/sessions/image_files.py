@@ -56,51 +56,13 @@ class ImageFile(Protocol):
         """Whether its compression has changed grey levels."""
 
     def size(self, page: int) -> tuple[int, int]:
-        """Return (width, height) of an image in px before it is read.
-
-        Parameters
-        ----------
-        page : int
-            Of the image, from 0.
-
-        Returns
-        -------
-        tuple of int
-            Width and height.
-        """
+        """Return (width, height) in px of the image of that number, from 0, before it is read."""
 
     def read(self, page: int) -> Image:
-        """Read one image.
-
-        Parameters
-        ----------
-        page : int
-            Of the image, from 0.
-
-        Returns
-        -------
-        ndarray of uint8 or uint16, (height, width)
-            Its grey levels as stored.
-
-        Raises
-        ------
-        NotGreyError
-            It is not grey.
-        """
+        """Read an image (height, width) as stored, uint8 or uint16; raises `NotGreyError`."""
 
     def stated_bits(self, page: int) -> int | None:
-        """Say how many bits a level has, where the file's head tells.
-
-        Parameters
-        ----------
-        page : int
-            Of the image, from 0.
-
-        Returns
-        -------
-        int or None
-            Bits from 10 to 14; None where levels take whole bytes.
-        """
+        """Say how many bits a level has, 10 to 14; None where levels take whole bytes."""
 
 
 class ReadImage(NamedTuple):

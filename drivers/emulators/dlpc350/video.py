@@ -46,18 +46,10 @@ def apply_channel_swap(frame: VideoFrame, swap: int, letter_is_input: bool) -> F
 
 
 class VideoReceiver(Protocol):
-    """A controller with a video port, as a display that is connected to it needs it.
+    """A controller with a video port, as a display that is connected to it needs it."""
 
-    Attributes
-    ----------
-    clock : Clock
-        The time that the controller and the display share.
-    video : Video or None
-        The signal at the port; the display sets it.
-    """
-
-    clock: Clock
-    video: Video | None
+    clock: Clock  # of the controller and the display
+    video: Video | None  # the signal at the port; the display sets it
 
     def advance(self) -> None:
         """Do everything that was due until now; called before the display changes the frame."""
