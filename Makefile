@@ -51,8 +51,7 @@ test-nightly: setup
 
 # What depends on the versions of NumPy and Blender: all devices, the simulation, and the demonstration.
 test-twin: setup
-	$(BIN)/python -m pytest -m 'not slow' $(PARALLEL) tests/conformance tests/sim
-	$(BIN)/python -m pytest -m 'not nightly' tests/cli/test_demo.py
+	$(BIN)/python -m pytest -m 'not slow or demonstration' $(PARALLEL) tests/cli/test_demo.py tests/conformance tests/sim
 
 # All that takes hours; with -k, the others follow where one fails.
 nightly: SECONDS = 300

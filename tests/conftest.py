@@ -85,7 +85,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         function = item.nodeid.partition("[")[0]
         cases[function] += 1
         after = item.get_closest_marker("whole_after")
-        if "demo" in getattr(item, "fixturenames", ()) or (after and cases[function] > after.args[0]):
+        marked = item.get_closest_marker("whole") or item.get_closest_marker("nightly")
+        if "demo" in getattr(item, "fixturenames", ()) and not marked:
+            item.add_marker(pytest.mark.demonstration)
+            item.add_marker(pytest.mark.whole)
+        if after and cases[function] > after.args[0]:
             item.add_marker(pytest.mark.whole)
         if item.get_closest_marker("whole") or item.get_closest_marker("nightly"):
             item.add_marker(pytest.mark.slow)
