@@ -1,7 +1,5 @@
 """`fpplab dlp4500`: commands for the LightCrafter 4500 itself."""
 
-from __future__ import annotations
-
 from drivers.dlp4500 import bench_commands, flash_commands
 from drivers.dlp4500.program import dlp4500
 

@@ -4,8 +4,6 @@
 stage itself.
 """
 
-from __future__ import annotations
-
 from drivers.stage_grbl.device import GrblStage
 
 __all__ = ["GrblStage"]

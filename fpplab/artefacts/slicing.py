@@ -128,16 +128,11 @@ def _stack(outlines: list[CrossSection]) -> Manifold:
 
 def _slabs(outlines: list[CrossSection]) -> Iterator[Manifold]:
     start = 0
-    for _, run in groupby(
-        outlines, key=_contours
-    ):  # equal neighbours as one, so that plain walls get no extra edges
+    # Equal neighbours as one, so that plain walls get no extra edges.
+    for _, run in groupby(outlines, key=lambda outline: [part.tobytes() for part in outline.to_polygons()]):
         same = list(run)
         yield same[0].extrude(len(same)).translate((0.0, 0.0, start))
         start += len(same)
-
-
-def _contours(outline: CrossSection) -> list[bytes]:
-    return [contour.tobytes() for contour in outline.to_polygons()]
 
 
 def _mesh(body: Manifold, heights: Floats) -> trimesh.Trimesh:

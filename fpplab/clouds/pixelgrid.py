@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fpplab.clouds.surfaces import NOISE_SIGMAS, is_continuous, surface_normals
 from fpplab.core import buffers
+from fpplab.core.cholesky import solve_positive
 from fpplab.core.conventions import Floats, Map
 
 _TERMS = 6  # coefficients of a polynomial of second degree in two variables
@@ -249,4 +250,6 @@ def _fit_present(design: Floats, values: Floats) -> Floats:
             right[p] += design[k, p] * values[k]
             for q in range(_TERMS):
                 matrix[p, q] += design[k, p] * design[k, q]
-    return np.linalg.solve(matrix, right)
+    solution = np.full(_TERMS, np.nan)  # where the pixels do not determine the surface
+    solve_positive(matrix, right, 0.0, solution)
+    return solution

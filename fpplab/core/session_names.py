@@ -1,7 +1,5 @@
 """Names of the files of a session."""
 
-from __future__ import annotations
-
 PLAN, RIG, ORIGIN = "plan.yaml", "rig.yaml", "origin.yaml"
 """What was projected; what with, as resolved; when, where and with which devices it was begun."""
 FORMAT, LOG = "session.yaml", "log.jsonl"

@@ -10,8 +10,6 @@ hardware leads to FAULT, from which only `close` is legal. `close` is legal from
 anywhere and leaves the bench safe.
 """
 
-from __future__ import annotations
-
 from fpplab.devices.camera import Camera, CameraCaps, CameraSettings, Frame, Trigger
 from fpplab.devices.device import Device, DeviceInfo, State
 from fpplab.devices.fixture import Fixture, FixtureCaps

@@ -89,7 +89,7 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
             cause=finding.cause.key,
             evidence=finding.evidence,
             remedy=finding.remedy,
-            excess=_finite(finding.excess),
+            excess=min(float(finding.excess), 1e9),  # a file holds no infinite number
         )
         for finding in diagnosis.findings
     )
@@ -107,8 +107,3 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
 def load_diagnosis(folder: Path) -> DiagnosisFile | None:
     path = folder / VERDICT
     return config.load_document(path, DiagnosisFile) if path.is_file() else None
-
-
-def _finite(excess: float) -> float:
-    """A file holds no infinite number: 1e9 stands for it."""
-    return min(float(excess), 1e9)

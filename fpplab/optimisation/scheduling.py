@@ -106,7 +106,7 @@ class DaskWorkers:
                 self._client: Any = opening.enter_context(processes.get_client())
             else:
                 self._client = opening.enter_context(scheduler.client())
-            opening.callback(self._close_rigs)
+            opening.callback(self._client.run, _close_on_worker)
             if scheduler is not None:
                 self._await_workers(scheduler.address)
             self._stack = opening.pop_all()
@@ -150,9 +150,6 @@ class DaskWorkers:
                 "check their memory and their logs, and run the same command again",
             ) from error
         return outcome
-
-    def _close_rigs(self) -> None:
-        self._client.run(_close_on_worker)
 
     def close(self) -> None:
         """Close the rigs of all workers, and end the processes started here."""

@@ -1,7 +1,5 @@
 """What the compiled parts of the decoder share: chunks of pixels, and how functions are compiled."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

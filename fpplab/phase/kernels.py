@@ -334,9 +334,16 @@ def _unwrap_axis(
 def _fill_position_limits(bounds: Any, at: int, pixel_count: int, default: Any, values: Any) -> None:
     """One end of the interval of possible positions of a chunk; `default` where none is known."""
     if len(bounds) > 0:
-        values[:pixel_count] = bounds[at : at + pixel_count]
+        _copy(bounds[at:], values, pixel_count)
     else:
         values[:pixel_count] = default
+
+
+@compiled
+def _copy(values: Any, out: Any, pixel_count: int) -> None:
+    """Copy a chunk; assigning a slice to a slice would take seconds more to compile, at each place."""
+    for j in range(pixel_count):
+        out[_u(j)] = values[_u(j)]
 
 
 @compiled
@@ -455,10 +462,10 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
                 )
                 doubt = maps.doubt_u if axis == 0 else maps.doubt_v
                 if len(doubt) > 0:
-                    doubt[at : at + pixel_count] = rows[_WORST : _WORST + _u(pixel_count)]
-        maps.modulation[at : at + pixel_count] = modulation[recipe.reference, :pixel_count]
-        maps.sigma[at : at + pixel_count] = sigma[:pixel_count]
-        maps.phase_error[at : at + pixel_count] = common[:pixel_count]
+                    _copy(rows[_WORST:], doubt[at:], pixel_count)
+        _copy(modulation[recipe.reference], maps.modulation[at:], pixel_count)
+        _copy(sigma, maps.sigma[at:], pixel_count)
+        _copy(common, maps.phase_error[at:], pixel_count)
         _add_doubtful(known, good, maps.cause[at : at + pixel_count], pixel_count)
         if len(maps.u) > 0:
             _erase_invalid(maps.u[at : at + pixel_count], known, pixel_count)

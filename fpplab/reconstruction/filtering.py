@@ -73,7 +73,9 @@ def apply_filter(
     removed = buffers.empty(grid.index.shape, np.uint8)
     removed[:] = 0
     if plan.order_vote is None and rules.disagreement_max > 0.0 and decoded.disagreement is not None:
-        limit = np.float32(_greatest_disagreement(decoded, rules.disagreement_max))
+        # Where a typical pixel's sets disagree, noise is not the limit (a response that is not linearised,
+        # interreflections), and pixels are judged relative to the typical one.
+        limit = np.float32(rules.disagreement_max * max(1.0, decoded.typical_disagreement))
         _contradictory(decoded.disagreement, limit, grid.w, removed)
     across, down = _surface_links(grid)
     phase_error = decoded.sigma_phase_error
@@ -106,13 +108,6 @@ def count_removed(decoded: Decoded) -> dict[str, int | float] | None:
         return None
     counts = {rule.name.lower(): int(np.count_nonzero(decoded.removed == rule)) for rule in Rule}
     return {**counts, "share": sum(counts.values()) / int(np.count_nonzero(decoded.valid))}
-
-
-def _greatest_disagreement(decoded: Decoded, by_noise: float) -> float:
-    """Return the disagreement beyond which sets contradict one another."""
-    # Where a typical pixel's sets disagree, noise is not the limit (a response that is not linearised,
-    # interreflections), and pixels are judged relative to the typical one.
-    return by_noise * max(1.0, decoded.typical_disagreement)
 
 
 def _surface_links(grid: PixelGrid) -> tuple[Mask, Mask]:

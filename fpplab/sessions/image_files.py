@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpplab.core.archives import array_head, check_archive
 from fpplab.core.conventions import Image
@@ -164,12 +163,8 @@ class _Array:
         length = count * self._dtype.itemsize
         self._stream.seek(self._start + page * length)
         levels = np.frombuffer(self._stream.read(length), self._dtype, count).reshape(self._shape)
-        return _raw(levels)
-
-
-def _raw(levels: NDArray[Any]) -> Image:
-    """Levels in this computer's order of bytes."""
-    return levels.astype(np.uint8) if levels.dtype.itemsize == 1 else levels.astype(np.uint16)
+        # In this computer's order of bytes.
+        return levels.astype(np.uint8) if levels.dtype.itemsize == 1 else levels.astype(np.uint16)
 
 
 def _only_member(path: Path, archive: zipfile.ZipFile) -> zipfile.ZipInfo:

@@ -27,7 +27,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.sessions.folder import remove_incomplete_files
 from fpplab.sessions.format import present_format, upgrade_format
 from fpplab.sessions.inspection import frame_faults, session_faults
-from fpplab.sessions.journal import FrameRecord, readable_lines
+from fpplab.sessions.journal import readable_lines
 from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
 from fpplab.sessions.session import Session
@@ -135,12 +135,9 @@ def _restore_journal(path: Path, plan: Plan, report: RepairReport, progress: Pro
         if (path / name).exists():
             _set_aside(path, name, report)
     if lines.faults or bad:
-        _replace_session_file(path, JOURNAL, "".join(_line(record) for record in whole), report)
+        kept = "".join(json.dumps(record.model_dump()) + "\n" for record in whole)
+        _replace_session_file(path, JOURNAL, kept, report)
         report.restored.append(f"{JOURNAL}, with the {len(whole)} frames that are whole")
-
-
-def _line(record: FrameRecord) -> str:
-    return json.dumps(record.model_dump()) + "\n"
 
 
 def _replace_session_file(path: Path, name: str, text: str, report: RepairReport) -> None:

@@ -88,7 +88,8 @@ class MatchingContext:
 
     def light_parameters(self, *more: str) -> tuple[str, ...]:
         response = () if self.reference.response is not None else ("b", "g")
-        black = () if self._black_is_held else ("black_level",)
+        is_held = abs(self.parameters.black_level - self._max_black) < 1e-9
+        black = () if is_held else ("black_level",)
         return (self.white, "ink", "ambient", *black, *response, *more)
 
     @property
@@ -96,10 +97,6 @@ class MatchingContext:
         """The greatest black level that the recordings allow, relative to full scale."""
         # The darkest places may have been rounded down by half a level.
         return (self.reference.darkest_level + 0.5) / self.reference.full_scale
-
-    @property
-    def _black_is_held(self) -> bool:
-        return abs(self.parameters.black_level - self._max_black) < 1e-9
 
     def fit(self, *names: str) -> TwinParameters:
         """Fit parameters of light and sharpness to the samples; the darkest places limit the black level."""

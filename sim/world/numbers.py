@@ -1,7 +1,5 @@
 """Ranges that several sections of a world file share."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

@@ -120,7 +120,15 @@ def interpolated(texels: Texels, weights: Texels, places: Floats) -> Floats:
 
 
 @pytest.mark.whole_after(1)
-@pytest.mark.parametrize("direction", [(0.183, 0.0), (0.0917, 0.0917), (0.125, -0.125), (0.05, 0.02)])
+@pytest.mark.parametrize(
+    "direction",
+    [
+        (0.183, 0.0),
+        (0.125, -0.125),
+        pytest.param((0.0917, 0.0917), marks=pytest.mark.nightly),
+        pytest.param((0.05, 0.02), marks=pytest.mark.nightly),
+    ],
+)
 @pytest.mark.parametrize(
     ("blur", "fill", "circle"),
     [

@@ -1,7 +1,5 @@
 """Causes that a characterisation reports of the poses of its board."""
 
-from __future__ import annotations
-
 from fpplab.diagnosis.finding import FaultCause
 
 SHOWN_BY = "the residuals of every pose in the report"

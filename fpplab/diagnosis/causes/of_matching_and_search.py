@@ -1,7 +1,5 @@
 """Causes that matching a twin and searching for a plan report."""
 
-from __future__ import annotations
-
 from fpplab.diagnosis.finding import FaultCause
 
 SHOWN_BY = "the page of the matching or of the search"

@@ -1,7 +1,5 @@
 """What the operator can order during the set-up, by key or on the page; both go through one queue."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from queue import SimpleQueue
 

@@ -77,12 +77,11 @@ class RigCheck:
             "settle_s": self.settle_s,
             "timing": asdict(self.timing) if self.timing else None,
             "shown": self.shown.tolist(),
-            "seen": {run.how: [_or_none(level) for level in run.levels.tolist()] for run in self.runs},
+            "seen": {
+                run.how: [None if math.isnan(level) else level for level in run.levels.tolist()]
+                for run in self.runs
+            },
         }
-
-
-def _or_none(level: float) -> float | None:
-    return None if math.isnan(level) else level
 
 
 def check_rig(

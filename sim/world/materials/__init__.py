@@ -5,8 +5,6 @@ A new material is one new file here, with a subclass of `Material` that has a ``
 one is added in `sim.blender.materials`.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from fpplab.core.tagged_union import TaggedUnion, import_members
