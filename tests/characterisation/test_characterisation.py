@@ -22,6 +22,7 @@ from fpplab.targets import Target
 from tests.support.rigs import BOARD, CAMERA, DIAMOND, PAIR, SQUARE, observed, poses, truth_of, values
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("projector", [SQUARE, DIAMOND], ids=["square", "diamond"])
 def test_parameters_are_recovered_within_their_uncertainty(projector: Pinhole) -> None:
     noise = 0.05

@@ -60,6 +60,7 @@ def test_a_reason_that_poses_share_is_given_once() -> None:
         characterise(observed(poses(2)), BOARD, CAMERA.size, SQUARE.size, left_out=left_out)
 
 
+@pytest.mark.whole
 def test_left_out_poses_are_reported() -> None:
     left_out = {"pose_9": "pose_9: the board was not found"}
     found = characterise(observed(poses(4)), BOARD, CAMERA.size, SQUARE.size, left_out=left_out)
@@ -72,6 +73,7 @@ def test_poses_without_tilt_are_refused() -> None:
         characterise(observed(flat, noise_px=0.05), BOARD, CAMERA.size, SQUARE.size)
 
 
+@pytest.mark.whole
 def test_poses_tilted_too_little_are_refused_with_the_doubt_they_leave() -> None:
     random = np.random.default_rng(0)
     tilts = random.uniform(-2.5, 2.5, (5, 3))
@@ -165,6 +167,7 @@ def test_well_spread_poses_cause_no_warning() -> None:
     assert warned(spread_poses(WELL_TILTED)) == ""
 
 
+@pytest.mark.whole
 def test_small_tilts_are_warned_of() -> None:
     assert "no board is tilted by more than 10°" in warned(spread_poses([(9, 1), (-9, 2), (2, 9), (0, -10)]))
 

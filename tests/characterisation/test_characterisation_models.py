@@ -108,6 +108,7 @@ def test_three_poses_leave_none_to_judge_by_and_the_result_says_so() -> None:
     assert [t.level for t in four.trials] == list(DistortionModel)
 
 
+@pytest.mark.whole
 def test_fits_without_a_pose_are_those_of_the_other_poses() -> None:
     seen = seen_with(TRUTHS["k2"])[:6]
     found = characterise(seen, BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.K2)

@@ -128,6 +128,7 @@ def test_an_early_pose_that_was_bad_is_found_by_later_ones() -> None:
     assert "pose_1" not in [o.name for o in guide.observations]
 
 
+@pytest.mark.whole
 def test_a_pose_that_was_given_up_is_not_asked_for_again(five: Guide) -> None:
     guide = deepcopy(five)
     first = guide.next_pose()
@@ -140,6 +141,7 @@ def test_a_pose_that_was_given_up_is_not_asked_for_again(five: Guide) -> None:
     assert apart > 15.0 or np.degrees(np.linalg.norm(turned)) > 12.0
 
 
+@pytest.mark.whole
 def test_parts_of_the_image_without_points_are_filled(five: Guide) -> None:
     guide = deepcopy(five)
     for k in range(5, 12):

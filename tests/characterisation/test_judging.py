@@ -47,6 +47,7 @@ def test_few_poses_predict_greater_errors(found: Characterisation) -> None:
     assert not by_few.contradicted
 
 
+@pytest.mark.whole
 def test_the_board_s_scale_does_not_count(found: Characterisation) -> None:
     """A board of unknown scale changes all lengths, and no image."""
     loose = BOARD.model_copy(update={"scale_tolerance": 0.05})

@@ -83,6 +83,7 @@ def test_distances_before_and_after_are_those_of_the_motion_and_of_the_noise(clo
     assert 0.25 * NOISE_MM < found.after_mm < NOISE_MM  # of the nearest 80 % of the points
 
 
+@pytest.mark.whole
 def test_another_shape_is_not_explained_by_an_alignment() -> None:
     ball = np.random.default_rng(0).normal(size=(3000, 3))
     ball = 60.0 * ball / np.linalg.norm(ball, axis=1)[:, None] + [0, 0, 500]

@@ -36,6 +36,7 @@ def written(plan: Plan, path: Path, **fields: object) -> Path:
     return path
 
 
+@pytest.mark.whole
 def test_a_plan_is_guessed_used_and_found_out(fpplab: Command, tmp_path: Path) -> None:
     plan = plan_of("x", (4, 4, 6), (1, 8, 48))
     words = images(Bench(plan=plan, seed=71).recording(), tmp_path / "images")

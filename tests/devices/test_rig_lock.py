@@ -113,6 +113,7 @@ def test_what_a_watcher_opens_itself_needs_no_turn(rig: Path) -> None:
             assert not turn.is_requested()
 
 
+@pytest.mark.whole
 def test_a_stream_of_commands_does_not_starve_the_one_that_waits(rig: Path) -> None:
     """The watcher takes the rig again at once, over and over; the command gets it all the same."""
     let_go = 0

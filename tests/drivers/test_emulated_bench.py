@@ -219,7 +219,10 @@ def test_each_run_begins_anew(folder: Path) -> None:
 
 @pytest.mark.whole_after(1)
 @pytest.mark.parametrize("rig_on", [rig_file, on_video])
-@pytest.mark.parametrize("dead_us", [0.0, 30.0, 100.0, 231.0, 300.0])
+@pytest.mark.parametrize(
+    "dead_us",
+    [0.0, 231.0, 300.0, *(pytest.param(us, marks=pytest.mark.nightly) for us in (30.0, 100.0))],
+)
 def test_no_pulse_comes_before_the_camera_is_ready(
     folder: Path, dead_us: float, rig_on: Callable[..., Rig]
 ) -> None:

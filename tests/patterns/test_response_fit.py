@@ -180,6 +180,7 @@ def test_regions_that_disagree_are_refused_by_name() -> None:
         fit_greys(make(exponent=only(4, 0.4, 0.0)))
 
 
+@pytest.mark.whole
 def test_the_picture_shows_the_regions_that_were_fitted() -> None:
     whole, fewer = (response_fit(fit_greys(make(gain=g))) for g in (1.0, only(0, 0.01, 1.0)))
     assert whole.startswith(b"\x89PNG")

@@ -186,7 +186,7 @@ def test_a_longer_baseline_scales_the_cloud(point: tuple[float, ...], noise: tup
     assert np.allclose(grown, point, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.whole_after(1)
+@pytest.mark.whole
 @pytest.mark.parametrize("axes", ["x", "xy"])
 def test_calibrations_drawn_from_the_covariance_spread_the_points_as_predicted(axes: str) -> None:
     """On a sphere: of a plane's rigid motions half the terms do not show."""

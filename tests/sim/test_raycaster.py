@@ -119,6 +119,7 @@ def test_edges_and_shadows_lie_where_they_should(blender: Blender, bench: Bench)
     assert wrong.mean() < (3e-4 if bench.further else 2e-5)
 
 
+@pytest.mark.whole
 def test_projector_coordinates_in_the_table(blender: Blender, bench: Bench) -> None:
     of, seen = bench.world, bench.seen
     affine = of.projector.texture().affine

@@ -181,7 +181,7 @@ def test_fringes_that_blur_has_turned_into_noise_say_nothing(seed: int) -> None:
     assert check_plan_fit(Bench(plan=BOTH, seed=seed, projector_blur_px=15.0).recording()) is None
 
 
-@pytest.mark.whole_after(2)
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("name", ["calseq1", "calseq2", "calseq3", "calseq4", "calseq5", "skull_2x3"])
 def test_plans_of_real_captures_are_left_alone_and_their_mistakes_named(captures: Path, name: str) -> None:
     plan = Plan.load("plan_slstudio_skull" if "skull" in name else "plan_slstudio_board")

@@ -356,7 +356,15 @@ def test_a_signal_lost_between_frames_is_noticed(bench: VideoBench, projector: D
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("fault", [UsbFault.DROP, UsbFault.LATE, UsbFault.NACK, UsbFault.UNPLUG_BEFORE])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        UsbFault.DROP,
+        UsbFault.NACK,
+        UsbFault.UNPLUG_BEFORE,
+        pytest.param(UsbFault.LATE, marks=pytest.mark.nightly),
+    ],
+)
 def test_a_fault_at_any_command_of_a_run_ends_it(tmp_path: Path, fault: UsbFault) -> None:
     """No frame later than where it happened, and dark where the cable is still there."""
     quiet = VideoBench(greys(3), tmp_path)

@@ -130,6 +130,7 @@ def test_the_cameras_best_is_at_its_true_focus(tmp_path: Path) -> None:
     assert values[5:] == sorted(values[5:], reverse=True)
 
 
+@pytest.mark.whole
 def test_the_projectors_best_is_at_its_true_focus(tmp_path: Path) -> None:
     """The stage moves the projector, focused at 463 mm, away from a card that is 450 mm before it."""
     path = rig_file(

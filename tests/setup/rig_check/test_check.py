@@ -68,6 +68,7 @@ def test_a_stale_calibration_is_found_though_the_plan_has_one_axis() -> None:
     assert found.unknown == ()
 
 
+@pytest.mark.whole
 def test_without_a_calibration_the_check_says_what_it_cannot_tell() -> None:
     found = with_plan(PLANS["three"], None)
     assert causes(found) == []

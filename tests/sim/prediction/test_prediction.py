@@ -125,6 +125,7 @@ def test_rows_are_those_of_whole_frames(rig: Rig) -> None:
         assert off.std() < 3.0
 
 
+@pytest.mark.whole
 def test_ambient_light_of_rows_is_that_of_whole_frames(rig: Rig) -> None:
     assert isinstance(rig.simulation, VirtualBench)
     rows = np.arange(180, 240, 7)
@@ -162,6 +163,7 @@ def test_bands_are_spread_over_the_item() -> None:
     assert len(every) == 200 + 2 * MARGIN > BAND
 
 
+@pytest.mark.whole
 def test_the_interval_holds_what_bench_and_twin_differed_by(rig: Rig) -> None:
     plain = predict(rig, PLAN, ITEM, pixels=5_000)
     noise = Deviation.of([0.2, 0.2, 0.2], fitted=False)
