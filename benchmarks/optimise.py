@@ -53,7 +53,7 @@ from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.study import Study
 from fpplab.patterns.fringes import make_patterns
 
-MOST_IMAGES, FEWEST_IMAGES, IMAGES_OF_FRONT = 18, 9, (9, 21)
+MOST_IMAGES, FEWEST_IMAGES, IMAGES_OF_FRONT = 21, 12, (12, 24)
 LEAST_PLANS, MOST_DEVIATION = 12, 2.0
 LEAST_STRIPES_PERCENT, LEAST_STRIPES_HIDDEN_PERCENT, MOST_WRONG_PERCENT = 67.0, 70.0, 0.1
 LEAST_BASELINE_PERCENT, INSIDE = 37.0, 0.01

@@ -48,7 +48,7 @@ class Observation:
 def finest_periods(plan: Plan, projector_size: tuple[int, int]) -> tuple[float, float]:
     """Compute the period of the finest fringes of a plan, for `observe`."""
     # projector_size (width, height) px
-    if plan.axes != ("x", "y"):
+    if plan.unwrapped_axes != ("x", "y"):
         raise CalibrationError("characterisation needs fringes along x and y; use a plan that has both")
     stripes = [plan.fringes[plan.finest_set(axis)].stripes for axis in plan.axes]
     return projector_size[0] / stripes[0], projector_size[1] / stripes[1]

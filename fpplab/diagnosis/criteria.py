@@ -11,7 +11,7 @@ import numpy as np
 
 from fpplab.clouds import Cloud
 from fpplab.core.config import Positive
-from fpplab.diagnosis.causes.stale_calibration import StaleCalibrationLimits
+from fpplab.diagnosis.causes.stale_calibration import max_epipolar_px
 from fpplab.diagnosis.exposure import GreyLevelLimits
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits, harmonics_of_power_law_rad, phase_ripples
 from fpplab.diagnosis.limits import LimitsSection, ShareLimit
@@ -109,7 +109,7 @@ def _of_points(sample: FrameSample, decoded: Decoded, cloud: Cloud | None) -> It
         yield Criterion("wrong_order_risk", meaning, share, limits.max_uncertain_share)
     if cloud is not None and (off := systematic_epipolar_px(cloud)) is not None:
         meaning = "the distance of points from their epipolar lines"
-        max_px = sample.limits.of(StaleCalibrationLimits).max_epipolar_px
+        max_px = max_epipolar_px(sample.limits, decoded)
         yield Criterion("epipolar_residual", meaning, off, max_px, "px")
 
 

@@ -167,7 +167,8 @@ def diagnose_scan(
     else:
         one_axis = "stale_calibration: fringes along one axis alone do not show it"
         unplaced = _unplaced(recording, cloud, geometry is None or geometry.region_is_known)
-        unknown = (one_axis,) * (cloud.epipolar_px is None) + (f"region: {unplaced}",) * bool(unplaced)
+        is_unseen = cloud.epipolar_px is None and decoded.guided is None
+        unknown = (one_axis,) * is_unseen + (f"region: {unplaced}",) * bool(unplaced)
         unknown += geometry.unverified if geometry else ()
         seeing = evidence.frames.estimate_pixels_seeing_fringes(cloud)
         counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"

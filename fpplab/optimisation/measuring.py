@@ -17,7 +17,6 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison, compare
 from fpplab.comparison.alignment import align_mesh
-from fpplab.core.conventions import Axis
 from fpplab.core.depth import first_stated
 from fpplab.core.errors import CalibrationError, ConfigError, DataError
 from fpplab.core.geometry import RigidTransform
@@ -31,8 +30,8 @@ from fpplab.optimisation.scoring import LIMITS, ArtefactFigures, TrueShape
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, check_unwrapping, decode
-from fpplab.phase.bounds import PossibleCoordinates, widest_interval_share
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.phase.bounds import Bounds, widest_interval_share
+from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
 
@@ -181,14 +180,12 @@ class RigEvaluatorFactory:
         return RigEvaluator(self.rig, self.problem)
 
 
-def possible_coordinates(
-    plan: Plan, calibration: Calibration, rig: Rig
-) -> dict[Axis, PossibleCoordinates] | None:
+def possible_coordinates(plan: Plan, calibration: Calibration, rig: Rig) -> Bounds:
     """Bound projector coordinates by the range of depths."""
     depth = first_stated(
         (plan.depth_mm, "plan: 'depth_mm'"), (rig.file.depth_mm, f"{rig.source}: 'depth_mm'")
     )
-    bounds, size = depth_bounds(plan, calibration, depth), calibration.projector.size
+    bounds, size = decoding_bounds(plan, calibration, depth), calibration.projector.size
     try:
         check_unwrapping(
             plan, "plan", {axis: widest_interval_share(bounds, axis, size) for axis in plan.axes}

@@ -150,7 +150,7 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
     def table(of: Curve, correction: Curve | None = None) -> dict[str, float]:
         return {str(n): shown_phase_error(of, n, correction) for n in LIMITS.reported_steps}
 
-    finest = [plan.fringes[plan.finest_set(axis)] for axis in plan.axes]
+    finest = [plan.fringes[plan.finest_set(axis)] for axis in plan.unwrapped_axes]
     fringe = max(
         finest, key=lambda f: px(f.axis, f.stripes, shown_phase_error(curve, f.images, plan.response))
     )

@@ -112,6 +112,12 @@ class Plan(Document):
     """The fringe sets, in the order they are shown."""
     unwrapping: Annotated[str, AfterValidator(_known_method)] = "hierarchical"
     """Name of the temporal unwrapping method (`fpplab.patterns.unwrapping`)."""
+    guided_axis: Axis | None = None
+    """The axis of the last fringe set, whose orders come from the calibration and the coordinate along the
+    other axis; by default every axis is unwrapped by its own sets.
+
+    Without a calibration there is no coordinate along it, and a characterisation cannot use the plan.
+    """
     exposure_s: Annotated[float, Field(gt=0, le=60)] = 0.02
     """Exposure of every frame, in s."""
     bits: Literal[8, 10, 12, 16] | None = None
@@ -156,6 +162,12 @@ class Plan(Document):
         sizes = {f.projector_size for f in self.fringes}
         if len(sizes) > 1:
             raise ValueError("every fringe set must name the same projector_size, or none")
+        return self
+
+    @model_validator(mode="after")
+    def _can_be_guided(self) -> Plan:
+        if fault := self.guidance_fault():
+            raise ValueError(fault)
         return self
 
     @model_validator(mode="after")
@@ -205,6 +217,41 @@ class Plan(Document):
         """The axes that are coded, x before y."""
         coded = {f.axis for f in self.fringes}
         return tuple(a for a in ("x", "y") if a in coded)
+
+    @property
+    def unwrapped_axes(self) -> tuple[Axis, ...]:
+        """The axes that their own sets unwrap, x before y: all but `guided_axis`."""
+        return tuple(axis for axis in self.axes if axis != self.guided_axis)
+
+    def guidance_fault(self) -> str | None:
+        """Say why the guided axis cannot be guided; a copy with other fringe sets is not checked by itself.
+
+        Returns
+        -------
+        str or None
+            None where it can, or where no axis is guided.
+        """
+        axis, last = self.guided_axis, len(self.fringes) - 1
+        if axis is None or (self.sets_along(axis) == (last,) and last > 0):
+            return None
+        return f"'guided_axis' is '{axis}': needs the last fringe set, and no other, along {axis}"
+
+    def along(self, axis: Axis) -> Plan:
+        """Give the part of the plan along one axis.
+
+        Parameters
+        ----------
+        axis : str
+            x or y.
+
+        Returns
+        -------
+        Plan
+            With the fringe sets along the axis alone.
+        """
+        fringes = tuple(fringe for fringe in self.fringes if fringe.axis == axis)
+        unwrapping = "guided" if axis == self.guided_axis else self.unwrapping
+        return self.model_copy(update={"fringes": fringes, "unwrapping": unwrapping, "guided_axis": None})
 
     @property
     def projector_size(self) -> tuple[int, int] | None:

@@ -115,6 +115,22 @@ class Recording:
         index = self.plan.finest_set(axis)
         return self.plan.fringes[index], self.of_set(index)
 
+    def along(self, axis: Axis) -> Recording:
+        """Take the fringe sets along one axis.
+
+        Parameters
+        ----------
+        axis : str
+            x or y.
+
+        Returns
+        -------
+        Recording
+            With the plan and the frames of these sets alone.
+        """
+        frames = [frame for k in self.plan.sets_along(axis) for frame in self.of_set(k)]
+        return replace(self, plan=self.plan.along(axis), frames=frames)
+
     def mean_image(self, index: int | None = None) -> NDArray[np.uint8]:
         """Give the scene under even light: the mean of a fringe set's frames, which is its offset.
 

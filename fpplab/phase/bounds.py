@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,13 +29,22 @@ class PossibleCoordinates:
         return (self.lower + half) / px, (self.upper + half) / px
 
 
-def widest_interval_share(
-    bounds: Mapping[Axis, PossibleCoordinates] | None, axis: Axis, projector_size: tuple[int, int]
-) -> float | None:
+@dataclass(frozen=True, eq=False)
+class PredictedCoordinate:
+    """One projector coordinate of every camera pixel, as the other one and the geometry predict it."""
+
+    predict: Callable[[Map], Map]  # maps (height, width) in px, NaN where unknown
+
+
+Bounds = Mapping[Axis, PossibleCoordinates | PredictedCoordinate]
+"""What the geometry tells of the projector coordinates along each axis."""
+
+
+def widest_interval_share(bounds: Bounds | None, axis: Axis, projector_size: tuple[int, int]) -> float | None:
     # projector_size (width, height) px
-    if bounds is None or axis not in bounds:
+    interval = (bounds or {}).get(axis)
+    if not isinstance(interval, PossibleCoordinates):
         return None
-    interval = bounds[axis]
     return max(float(np.max(interval.upper - interval.lower)), 1.0) / axis_length(projector_size, axis)
 
 

@@ -17,10 +17,24 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.extras import need_extra
 from fpplab.core.files import write_large
 from fpplab.core.notebook import grey_picture, html_table, plot_map
+from fpplab.phase.limits import GUIDED_AXIS
 from fpplab.phase.outside import OutsideShare
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class GuidedAxis:
+    """How the fringes along an axis that the geometry guides agree with it."""
+
+    share_off: float  # of pixels whose fringes lie more than a quarter of a period off
+    phase_error_px: float  # 1-sigma of the coordinate by errors that all pixels of one phase share
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether most pixels lie off, so that nothing tells the orders and the coordinate is left out."""
+        return self.share_off > GUIDED_AXIS.max_off_share
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +51,8 @@ class Decoded:
         1-sigma of that axis' coordinate in projector px by the noise of all its sets that take part,
         independent from pixel to pixel.
     v_per_u : float
-        How many times greater v's sigma is than u's where both are coded, from the plan: their modulations
-        are equal.
+        How many times greater v's sigma is than u's where both are coded: from the plan, as if their
+        modulations were equal, or where an axis is guided the median of all pixels.
     disagreement : ndarray of float32, (height, width), or None
         How much the fringe sets contradict one another, in units of what noise explains: the root of χ² of
         all sets about their weighted mean, per degree of freedom; 0 where nothing can contradict, None where
@@ -57,6 +71,8 @@ class Decoded:
         1-sigma of the coordinate in projector px by errors of the phase that are common to all pixels of one
         phase, so that averaging does not lessen them: harmonics of the response, flicker of the lamp, and
         rounding of the grey levels. None where neither the frames nor a measured response tell them.
+    guided : GuidedAxis or None
+        How the plan's guided axis agrees with the geometry; None where nothing guided it. It is not saved.
     """
 
     u: Map
@@ -69,6 +85,7 @@ class Decoded:
     uncertain_order: NDArray[np.uint8] | None = None
     outside: OutsideShare | None = None
     sigma_phase_error: Map | None = None
+    guided: GuidedAxis | None = None
 
     def __repr__(self) -> str:
         height, width = self.sigma.shape

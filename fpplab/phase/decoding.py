@@ -21,11 +21,19 @@ from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase.biased_orders import mark_biased_orders
-from fpplab.phase.bounds import PossibleCoordinates, check_bounds, interval_of, widest_interval_share
+from fpplab.phase.bounds import (
+    Bounds,
+    PossibleCoordinates,
+    PredictedCoordinate,
+    check_bounds,
+    interval_of,
+    widest_interval_share,
+)
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.edges import add_errors_at_edges
 from fpplab.phase.error_model import ErrorModel, error_model_of
+from fpplab.phase.guided_axis import around_prediction, joined
 from fpplab.phase.isolated import isolated_pixels
 from fpplab.phase.kernels import decode_pixels, erase_doubtful
 from fpplab.phase.limits import BIASED_ORDERS, ORDERS
@@ -43,7 +51,7 @@ _BLOCK = 1 << 18  # pixels that one thread decodes at a time (chosen)
 def decode(
     recording: Recording,
     progress: Progress = no_progress,
-    bounds: Mapping[Axis, PossibleCoordinates] | None = None,
+    bounds: Bounds | None = None,
 ) -> Decoded:
     """Find projector coordinates, modulation and uncertainty of every camera pixel.
 
@@ -55,9 +63,10 @@ def decode(
         All frames of a plan.
     progress : callable
         Told the share done, 0 … 1; what it raises ends the work.
-    bounds : mapping of str to PossibleCoordinates, optional
+    bounds : mapping of str to PossibleCoordinates or PredictedCoordinate, optional
         By axis, which projector coordinates each camera pixel may have, as calibration and depth range tell;
-        by default all of the projector's. Guided unwrapping needs them.
+        by default all of the projector's. Guided unwrapping needs them. A plan's guided axis needs its
+        prediction, and is left out without it.
 
     Returns
     -------
@@ -76,14 +85,37 @@ def decode(
             f"recording: takes a Recording, such as session.recording(), not a {type(recording).__name__}"
         )
     recording = recording.checked()
-    plan, bits, source = recording.plan, recording.bits, recording.name
-    check_bounds(bounds, recording)
-    size = recording.projector_size
+    guided, errors = recording.plan.guided_axis, error_model_of(recording)
+    possible = {a: b for a, b in (bounds or {}).items() if isinstance(b, PossibleCoordinates)}
+    check_bounds(possible, recording)
+    if guided is None:
+        return _decode_unwrapped(recording, errors, progress, possible or None)
+    if fault := recording.plan.guidance_fault():
+        raise ConfigError(f"{recording.name}: {fault}")
+    (leading,) = recording.plan.unwrapped_axes
+    first, second = recording.along(leading), recording.along(guided)
+    decoded = _decode_unwrapped(first, errors.of_sets(0, -1), progress, possible or None)
+    prediction = (bounds or {}).get(guided)
+    if not isinstance(prediction, PredictedCoordinate):
+        return decoded
+    predicted = prediction.predict(decoded.coordinate(leading))
+    interval = {guided: around_prediction(predicted, second)}
+    along = _decode_unwrapped(second, errors.of_sets(-1, None), no_progress, interval)
+    return joined(decoded, along, predicted, second)
+
+
+def _decode_unwrapped(
+    recording: Recording,
+    errors: ErrorModel,
+    progress: Progress,
+    bounds: Mapping[Axis, PossibleCoordinates] | None,
+) -> Decoded:
+    """Decode all axes, each unwrapped by its own sets."""
+    plan, bits, source, size = recording.plan, recording.bits, recording.name, recording.projector_size
     sequences = [
         wavelength_sequence(plan, axis, source, widest_interval_share(bounds, axis, size))
         for axis in plan.axes
     ]
-    errors = error_model_of(recording)
     recipe = recipe_of(recording, sequences, errors, bounds)
     first = recording.frames[0]
     maps = _allocate(first.size, plan)

@@ -49,6 +49,10 @@ class ErrorModel:
         """Whether the frames show the common errors: fringe sets that show them, and enough pixels."""
         return all(np.isfinite(errors.terms).all() for errors in self.sets)
 
+    def of_sets(self, start: int | None, stop: int | None) -> ErrorModel:
+        """Give the errors of some of the sets, as a slice."""
+        return replace(self, sets=self.sets[start:stop])
+
     def counted_share(self, sequence: WavelengthSequence) -> float:
         """Give the share of the variance by common errors that counts for the orders of one axis."""
         peaks = [math.sqrt(2.0) * float(np.nan_to_num(self.sets[k].harmonic_rad)) for k in sequence.sets]
@@ -91,7 +95,8 @@ def error_model_of(recording: Recording) -> ErrorModel:
 def _sequences(recording: Recording) -> list[WavelengthSequence]:
     """How the axes are unwrapped; none where that needs a calibration."""
     try:
-        return [wavelength_sequence(recording.plan, axis, recording.name) for axis in recording.plan.axes]
+        axes = recording.plan.unwrapped_axes
+        return [wavelength_sequence(recording.plan, axis, recording.name) for axis in axes]
     except ConfigError:
         return []
 

@@ -74,6 +74,22 @@ class OutsideLimits(NamedTuple):
     warning_share: float = 0.05  # share of the pixels with fringes from which on a warning is given (chosen)
 
 
+class GuidedAxisLimits(NamedTuple):
+    """Limits of the axis whose orders come from the geometry."""
+
+    half_interval_turns: float = 0.499
+    """Half of the interval about the prediction in which its coordinate is looked for. Derived: a whole
+    period, but for rounding."""
+    max_off_turns: float = 0.25
+    """Greatest distance from the prediction at which an order counts. Derived: the next period is then three
+    times as far."""
+    max_off_share: float = 0.5
+    """Greatest share of pixels beyond that distance at which the others count. Chosen: the most."""
+
+
+GUIDED_AXIS = GuidedAxisLimits()
+
+
 class PhaseNoiseLimits(NamedTuple):
     """Limits of the estimate of noise."""
 

@@ -27,7 +27,7 @@ def order_risk(
     # Shifts that only pixels near the projector's edges can suffer are not counted.
     # projector_size (width, height) px; returns (height, width)
     risk = np.where(decoded.valid, np.float32(0.0), np.float32(np.nan))
-    for axis in plan.axes:
+    for axis in plan.unwrapped_axes:
         sequence = wavelength_sequence(plan, axis, "plan", (interval_shares or {}).get(axis))
         alternatives = alternatives_of(plan, sequence)
         counted = alternatives.separations[alternatives.separations >= 0.99 * alternatives.least_separation]

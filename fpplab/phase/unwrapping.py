@@ -67,7 +67,7 @@ def check_unwrapping(
     plan: Plan, source: str, interval_shares: Mapping[Axis, float | None] | None = None
 ) -> None:
     """Refuse a plan that cannot be unwrapped, before anything is projected."""
-    for axis in plan.axes:
+    for axis in plan.unwrapped_axes:
         wavelength_sequence(plan, axis, source, (interval_shares or {}).get(axis))
 
 

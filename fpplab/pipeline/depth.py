@@ -9,7 +9,7 @@ from fpplab.devices.rig import DepthSection, Rig
 from fpplab.patterns.plan import Plan
 from fpplab.phase import check_unwrapping
 from fpplab.phase.bounds import widest_interval_share
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.reconstruction.depth_range import decoding_bounds
 
 
 def plan_with_depth(plan: Plan, depth_mm: tuple[float, float] | None) -> Plan:
@@ -38,5 +38,5 @@ def check_plan(
         (plan.depth_mm, f"{source}: 'depth_mm'"),
         (rig.file.depth_mm, f"{rig.source}: 'depth_mm'") if rig else (None, ""),
     )
-    bounds, size = depth_bounds(plan, calibration, depth), calibration.projector.size
+    bounds, size = decoding_bounds(plan, calibration, depth), calibration.projector.size
     check_unwrapping(plan, source, {axis: widest_interval_share(bounds, axis, size) for axis in plan.axes})

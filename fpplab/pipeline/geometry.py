@@ -9,7 +9,7 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.devices.rig import GeometrySection
-from fpplab.diagnosis.causes.stale_calibration import StaleCalibrationLimits
+from fpplab.diagnosis.causes.stale_calibration import max_epipolar_px
 from fpplab.diagnosis.geometry import GeometryCheck, GeometryDoubt
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.phase import Decoded
@@ -36,7 +36,7 @@ def geometry_check(
     doubt = why_unverified(session, calibration)
     hidden: tuple[tuple[str, float], ...] = ()
     if doubt is not None:
-        noticed_px = limits.of(StaleCalibrationLimits).max_epipolar_px
+        noticed_px = max_epipolar_px(limits, decoded)
         changes = hidden_changes(cloud, calibration, coordinate_noise(decoded), noticed_px)
         sigma_mm = cloud.sigma_calibration_mm
         stated_um = 0.0 if sigma_mm is None else 1e3 * float(np.median(sigma_mm))

@@ -12,7 +12,7 @@ from fpplab.patterns.plan import FilterRules
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.pipeline.checking import plan_fault
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 
 
@@ -25,7 +25,7 @@ def triangulate_recording(
 ) -> tuple[Decoded, Cloud | Diagnosis]:
     """Decode and triangulate; `filtering` replaces what the plan says of its filter."""
     plan = recording.plan
-    bounds = depth_bounds(plan, calibration, recording.depth)
+    bounds = decoding_bounds(plan, calibration, recording.depth)
     try:
         decoded = decode(recording, lambda share: progress(0.3 + 0.28 * share), bounds)
     except ConfigError as error:

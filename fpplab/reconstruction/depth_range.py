@@ -14,17 +14,23 @@ from fpplab.core.conventions import AXES, Axis, Floats
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
-from fpplab.phase.bounds import PossibleCoordinates
+from fpplab.phase.bounds import Bounds, PossibleCoordinates, PredictedCoordinate
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
-from fpplab.reconstruction.triangulation import camera_slopes
+from fpplab.reconstruction.triangulation import camera_slopes, predict_coordinate
 
 
-def depth_bounds(
-    plan: Plan, calibration: Calibration, depth: DepthRange | None
-) -> dict[Axis, PossibleCoordinates] | None:
+def decoding_bounds(plan: Plan, calibration: Calibration, depth: DepthRange | None) -> Bounds:
+    """Give what the geometry tells decoding: the range of depths, if any, and what guides the guided axis."""
+    bounds: dict[Axis, PossibleCoordinates | PredictedCoordinate] = {}
+    if depth is not None:
+        bounds |= depth_bounds(plan, calibration, depth)
+    if (axis := plan.guided_axis) is not None:
+        bounds[axis] = PredictedCoordinate(lambda known: predict_coordinate(known, axis, calibration))
+    return bounds
+
+
+def depth_bounds(plan: Plan, calibration: Calibration, depth: DepthRange) -> dict[Axis, PossibleCoordinates]:
     """Compute the possible projector coordinates of every camera pixel within a range of depths."""
-    if depth is None:
-        return None
     width, height = calibration.camera.size
     slopes = camera_slopes(calibration.camera)
     columns, rows = _nodes(width), _nodes(height)
@@ -33,7 +39,7 @@ def depth_bounds(
     pixels = _ray_images_between_depths(slopes[:, rows[:, None], columns], calibration, depth)
     across, down = _interpolation(columns, width), _interpolation(rows, height)
     bounds: dict[Axis, PossibleCoordinates] = {}
-    for axis in plan.axes:
+    for axis in plan.unwrapped_axes:
         along = pixels[..., AXES.index(axis)]
         last = calibration.projector.size[AXES.index(axis)] - 0.5
         lower, upper = (

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fpplab.calibration.model import Calibration
 from fpplab.clouds.selection import select_rows
 from fpplab.core import buffers
-from fpplab.core.conventions import Floats, Map, Mask
+from fpplab.core.conventions import Axis, Floats, Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import INVERSION_STEPS, PIXEL_TOLERANCE, Pinhole, distort
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
@@ -140,13 +140,7 @@ def solve_pixels(coded: CodedMaps, calibration: Calibration) -> Solutions:
         epipolar=buffers.empty(total if use_u and use_v else 0),
         colour=buffers.empty(total if use_texture else 0, np.uint8),
     )
-    projector = calibration.projector
-    model = ProjectorModel(
-        intrinsics=_intrinsics(projector),
-        pose=tuple(calibration.T_projector_camera.matrix[:3].ravel().tolist()),
-        size=projector.size,
-        reach=projector.reach,
-    )
+    model = _model_of(calibration)
     _fill_solutions(camera_slopes(calibration.camera), coded, model, np.cumsum(counts) - counts, solutions)
     solved = _are_solved(solutions.points)
     if not solved.any():
@@ -157,6 +151,25 @@ def solve_pixels(coded: CodedMaps, calibration: Calibration) -> Solutions:
     if solved.all():
         return solutions
     return Solutions._make(_kept(values, solved) for values in solutions)
+
+
+def predict_coordinate(known: Map, axis: Axis, calibration: Calibration) -> Map:
+    """Predict the projector coordinate along an axis from the one along the other, without noise's part."""
+    # known (height, width) px, NaN where unknown; returns (height, width) px
+    other = np.empty(known.shape, np.float32)
+    slopes, model = camera_slopes(calibration.camera), _model_of(calibration)
+    _fill_predictions(slopes, np.ascontiguousarray(known, np.float32), axis == "y", model, other)
+    return other
+
+
+def _model_of(calibration: Calibration) -> ProjectorModel:
+    projector = calibration.projector
+    return ProjectorModel(
+        intrinsics=_intrinsics(projector),
+        pose=tuple(calibration.T_projector_camera.matrix[:3].ravel().tolist()),
+        size=projector.size,
+        reach=projector.reach,
+    )
 
 
 def _kept(values: NDArray[T], solved: Mask) -> NDArray[T]:
@@ -378,3 +391,35 @@ def _fill_solutions(
                             if use_u and use_v:
                                 epipolar[at] = _epipolar_distance_px(u - pu, v - pv, ju, jv * v_per_u)
                         break
+
+
+@njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
+def _fill_predictions(
+    slopes: Floats, known: Map, gives_v: bool, projector: ProjectorModel, other: Map
+) -> None:
+    """Project the point that one coordinate gives on each pixel's ray, and keep the other coordinate."""
+    device, pose, reach = projector.intrinsics, projector.pose, projector.reach
+    weights = (1.0, 0.0) if gives_v else (0.0, 1.0)
+    for row in prange(len(known)):
+        for column in range(known.shape[1]):
+            other[row, column] = np.nan
+            value = float(known[row, column])
+            if not abs(value) < LIMITS.max_coordinate_px:
+                continue
+            u, v = (value, device[3]) if gives_v else (device[2], value)
+            ray = _in_projector(slopes[0, row, column], slopes[1, row, column], pose)
+            x, y = _undistort_pixel(u, v, device, reach)
+            z = _linear_depth(x, y, ray, weights)
+            for _ in range(LIMITS.max_steps):
+                if not (z > 0.0 and z * ray[2] + ray[5] > 0.0):
+                    break
+                eu, ev, ju, jv, pu, pv, x, y, _, _ = _residuals(z, ray, u, v, weights, device)
+                square = ju * ju + jv * jv
+                if square < LIMITS.min_sensitivity_px_per_mm * LIMITS.min_sensitivity_px_per_mm:
+                    break
+                step = (ju * eu + jv * ev) * (1.0 / square)
+                z += step
+                if abs(step) <= LIMITS.depth_tolerance * z:
+                    if x * x + y * y < reach * reach:
+                        other[row, column] = pv if gives_v else pu
+                    break

@@ -205,7 +205,9 @@ def plan_description(plan: Plan) -> str:
     for axis in plan.axes:
         sets = [plan.fringes[i] for i in plan.sets_along(axis)]
         stripes = ", ".join(f"{fringe.stripes:g}" for fringe in sets)
-        axes.append(f"{axis}: {stripes} stripes in {', '.join(str(fringe.images) for fringe in sets)} steps")
+        guided = ", guided by the geometry" if axis == plan.guided_axis else ""
+        steps = ", ".join(str(fringe.images) for fringe in sets)
+        axes.append(f"{axis}: {stripes} stripes in {steps} steps{guided}")
     corrected = ", corrected for the response" if plan.response else ""
     return f"{'; '.join(axes)}; {plan.unwrapping}; {plan.trigger}{corrected}"
 

@@ -27,7 +27,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, Wrapped, wrapped_phase
 from fpplab.phase.bounds import widest_interval_share
 from fpplab.phase.order_risk import order_risk
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.viewer import layouts
 from fpplab.viewer.canvas import REACH, Canvas, CommandView, eight_bits, subsample_columns
 from fpplab.viewer.colours import ColourScale
@@ -209,7 +209,7 @@ class MeasurementView(CommandView):
             return None
         plan, size, _ = self._shown.plan
         with suppress(FppError):  # a plan that this calibration cannot unwrap has no known risk
-            bounds = self._shown.calibration and depth_bounds(plan, self._shown.calibration, depth)
+            bounds = self._shown.calibration and decoding_bounds(plan, self._shown.calibration, depth)
             interval_shares = {axis: widest_interval_share(bounds or None, axis, size) for axis in plan.axes}
             u, v = cloud.pixels.T
             return np.asarray(order_risk(decoded, plan, size, interval_shares)[v, u])

@@ -105,8 +105,10 @@ def _check_plan(plan: Plan, name: str) -> None:
     from fpplab.phase import check_unwrapping
 
     check_unwrapping(plan, name)
-    if plan.axes != ("x", "y"):
-        raise ConfigError(f"{name}: has fringes along {plan.axes[0]} alone; characterisation needs x and y")
+    if plan.unwrapped_axes != ("x", "y"):
+        raise ConfigError(
+            f"{name}: has fringes along {plan.unwrapped_axes[0]} alone; characterisation needs x and y"
+        )
 
 
 def _take_poses(request: CharacterisationRequest, rig: Rig, observer: Observer) -> list[Session]:

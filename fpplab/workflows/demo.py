@@ -49,7 +49,7 @@ def run_demo(request: DemoRequest, observer: Observer | None = None) -> DemoResu
     observer, out, stopwatch = observer or Observer(), request.out, Stopwatch()
     for name in (RESULT, REPORT, CALIBRATION, BOARD, *artefacts.NAMES):
         refuse_existing(out / name, request.force)
-    plan = Plan.load("plan_paper.yaml")
+    plan = Plan.load("plan_scan.yaml")
     with Rig.load(request.rig) as rig:
         response, levels = _measure_response(rig, plan, observer)
         characterised = _characterise(rig, request, observer)

@@ -40,7 +40,7 @@ class LiveRequest:
     """What `run_live` is to show."""
 
     rig: str  # rig file, or name of one that is delivered
-    plan: str | None = None  # by default `plan_board.yaml` with a target, else `plan_paper.yaml`
+    plan: str | None = None  # by default `plan_board.yaml` with a target, else `plan_scan.yaml`
     calibration: Path | None = None  # by which overlap, angle and expected uncertainty are shown
     # Distance of the part from the camera; by default the middle of `depth_mm` of plan or rig, or else where
     # both middle rays meet.
@@ -99,13 +99,13 @@ def run_live(
 
 def _check_request(request: LiveRequest) -> tuple[Rig, LiveOptions]:
     """Check the request before any device is opened."""
-    name = request.plan or ("plan_board.yaml" if request.target else "plan_paper.yaml")
+    name = request.plan or ("plan_board.yaml" if request.target else "plan_scan.yaml")
     plan, rig = Plan.load(name), Rig.load(request.rig)
     if request.target:
         check_unwrapping(plan, name)
-        if plan.axes != ("x", "y"):
+        if plan.unwrapped_axes != ("x", "y"):
             raise ConfigError(
-                f"{name}: has fringes along {plan.axes[0]} alone; poses of a board need x and y"
+                f"{name}: has fringes along {plan.unwrapped_axes[0]} alone; poses of a board need x and y"
             )
     if request.item and rig.file.fixture is None:
         raise ConfigError(f"{rig.source}: 'fixture' is missing, and --item {request.item} needs one")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import igl
@@ -12,11 +12,11 @@ import trimesh
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison.visibility import RayTracedShape
-from fpplab.core.conventions import Axis, Floats, Mask
+from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
-from fpplab.phase.bounds import PossibleCoordinates, widest_interval_share
+from fpplab.phase.bounds import Bounds, widest_interval_share
 from fpplab.phase.order_risk import order_risk
 from fpplab.reconstruction.triangulation import camera_rays
 
@@ -71,7 +71,7 @@ def figures_of(
     calibration: Calibration,
     plan: Plan,
     surface: tuple[Mask, Mask],
-    bounds: Mapping[Axis, PossibleCoordinates] | None = None,
+    bounds: Bounds | None = None,
 ) -> MeasuredFigures:
     """Compute the figures of a measurement."""
     # decoded (height, width); surface: what `seen_surface` gives, (height, width)

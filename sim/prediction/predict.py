@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.core.conventions import Axis, Map, Mask
+from fpplab.core.conventions import Map, Mask
 from fpplab.core.depth import first_stated
 from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
@@ -26,8 +25,8 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.phase.bounds import PossibleCoordinates
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.phase.bounds import Bounds, PossibleCoordinates, PredictedCoordinate
+from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import coordinate_noise
 from sim.bench import VirtualBench
@@ -157,7 +156,7 @@ class _Sampled:
             (self.plan.depth_mm, "plan: 'depth_mm'"),
             (self.rig.file.depth_mm, f"{self.rig.source}: 'depth_mm'"),
         )
-        self._bounds = depth_bounds(self.plan, self.calibration, depth)
+        self._bounds = decoding_bounds(self.plan, self.calibration, depth)
 
     def measured(self, seed: int) -> tuple[MeasuredFigures, Decoded, Cloud]:
         settings = self.rig.camera_settings(self.plan.exposure_s, self.plan.bits)
@@ -172,30 +171,34 @@ class _Sampled:
         )
         return figures, decoded, cloud
 
-    def _bounds_of_rows(self) -> dict[Axis, PossibleCoordinates] | None:
-        if self._bounds is None:
+    def _bounds_of_rows(self) -> Bounds:
+        def of_rows(
+            known: PossibleCoordinates | PredictedCoordinate,
+        ) -> PossibleCoordinates | PredictedCoordinate:
+            if isinstance(known, PredictedCoordinate):
+                return PredictedCoordinate(lambda rows: cut(known.predict(self._whole(rows))))
+            return PossibleCoordinates(cut(known.lower), cut(known.upper))
+
+        def cut(values: Map) -> Map:
+            return np.ascontiguousarray(values[self.rows])
+
+        return {axis: of_rows(known) for axis, known in self._bounds.items()}
+
+    def _whole(self, values: Any) -> Any:
+        """Put a map of the rows where they are in the image; NaN, or 0 in flags, elsewhere."""
+        if values is None:
             return None
-        return {
-            axis: PossibleCoordinates(
-                np.ascontiguousarray(coordinates.lower[self.rows]),
-                np.ascontiguousarray(coordinates.upper[self.rows]),
-            )
-            for axis, coordinates in self._bounds.items()
-        }
+        width, height = self.calibration.camera.size
+        empty = np.nan if np.issubdtype(values.dtype, np.floating) else 0
+        whole = np.full((height, width), empty, values.dtype)
+        whole[self.rows] = values
+        return whole
 
     def _placed(self, decoded: Decoded) -> Decoded:
-        """Put maps of the rows where they are in the image; NaN, or 0 in flags, elsewhere."""
-        width, height = self.calibration.camera.size
-
-        def placed(values: Map | NDArray[np.uint8] | None) -> Any:
-            if values is None:
-                return None
-            empty = np.nan if np.issubdtype(values.dtype, np.floating) else 0
-            whole = np.full((height, width), empty, values.dtype)
-            whole[self.rows] = values
-            return whole
-
         names = ("u", "v", "modulation", "sigma", "disagreement", "uncertain_order", "sigma_phase_error")
         return replace(
-            decoded, outside=None, removed=None, **{name: placed(getattr(decoded, name)) for name in names}
+            decoded,
+            outside=None,
+            removed=None,
+            **{name: self._whole(getattr(decoded, name)) for name in names},
         )

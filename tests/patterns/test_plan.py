@@ -25,6 +25,15 @@ def plan_of(text: str, tmp_path: Path) -> Plan:
     return Plan.load(path)
 
 
+def test_a_guided_axis_has_the_last_set_and_no_other() -> None:
+    plan = Plan.load("plan_scan")
+    assert plan.unwrapped_axes == ("x",)
+    assert plan.along("y").unwrapping == "guided"
+    assert plan.model_copy(update={"fringes": plan.fringes[::-1]}).guidance_fault()
+    with pytest.raises(ConfigError, match="'guided_axis' is 'y': needs the last fringe set"):
+        config.validate({**config.plain(Plan.load("plan_board")), "guided_axis": "y"}, Plan, "plan.yaml")
+
+
 def test_a_plan_lists_its_images_in_order(tmp_path: Path) -> None:
     plan = plan_of(GOOD, tmp_path)
     assert plan.images == 22

@@ -16,7 +16,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.pipeline import check_plan, plan_with_depth
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.reconstruction.depth_range import decoding_bounds, depth_bounds
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS
 from fpplab.reconstruction.points import triangulate
 from sim.warmup import DISTANCE_MM, frames_of_plane, small_rig
@@ -33,7 +33,6 @@ def plan_of(stripes: tuple[float, ...], unwrapping: str = "guided", axes: str = 
 
 def test_the_intervals_hold_every_point_of_the_range_and_little_more() -> None:
     bounds = depth_bounds(plan_of((10.0, 100.0), axes="xy"), RIG, RANGE)
-    assert bounds is not None
     width, height = RIG.camera.size
     u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     slopes = RIG.camera.normalise(np.stack([u, v], axis=-1))
@@ -58,7 +57,7 @@ def test_a_guided_plan_measures_what_a_plan_with_one_stripe_does() -> None:
     clouds = []
     for plan in (guided, usual):
         recording = Recording(frames_of_plane(plan, RIG, 16), plan, RIG.projector.size, 16)
-        decoded = decode(recording, bounds=depth_bounds(plan, RIG, RANGE))
+        decoded = decode(recording, bounds=decoding_bounds(plan, RIG, RANGE))
         clouds.append(triangulate(decoded, RIG))
     assert len(clouds[0]) == len(clouds[1]) > 1000
     np.testing.assert_allclose(clouds[0].points[:, 2], DISTANCE_MM, atol=0.05)
@@ -66,7 +65,7 @@ def test_a_guided_plan_measures_what_a_plan_with_one_stripe_does() -> None:
 
 def test_without_a_range_there_are_no_intervals_and_guided_plans_are_refused() -> None:
     plan = plan_of((9.0, 120.0)).model_copy(update={"depth_mm": None})
-    assert depth_bounds(plan, RIG, None) is None
+    assert not decoding_bounds(plan, RIG, None)
     with pytest.raises(ConfigError, match="needs a calibration and a depth range"):
         check_plan(plan, "plan", RIG)
     check_plan(plan_with_depth(plan, (NEAR, FAR)), "plan", RIG)

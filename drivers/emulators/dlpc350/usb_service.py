@@ -29,7 +29,7 @@ from fpplab.core.conventions import Lattice
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 
-DEFAULT_PLAN = "plan_paper.yaml"  # plan whose patterns are in flash when no firmware file is given
+DEFAULT_PLAN = "plan_scan.yaml"  # plan whose patterns are in flash when no firmware file is given
 
 
 @contextmanager

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @app.command("check", rich_help_panel=PREPARE)
 def check_command(
     rig: RigName,
-    plan: PlanName = "plan_paper.yaml",
+    plan: PlanName = "plan_scan.yaml",
     item: Annotated[
         str, typer.Option("--item", help="What to look at: an evenly white card, or a bright part.")
     ] = "grey_card",
@@ -53,7 +53,7 @@ def check_command(
     code is 0 when all is well, 3 with findings. --out keeps a picture of each finding: the frame, map or
     curve that shows it.
 
-    Example: `fpplab check --rig rig_demo --plan plan_paper --calibration calibration.yaml`
+    Example: `fpplab check --rig rig_demo --plan plan_scan --calibration calibration.yaml`
     """
     from fpplab.calibration.model import Calibration
     from fpplab.devices.rig import Rig

@@ -28,7 +28,7 @@ def emulate_command(
     """Run a device emulator until Ctrl-C.
 
     `dlp4500` is a LightCrafter 4500 on this computer's USB, for `fpplab` and for any other program. It holds
-    the patterns of plan_paper.yaml, or what a firmware file has, and says what it shows. It needs Linux, its
+    the patterns of plan_scan.yaml, or what a firmware file has, and says what it shows. It needs Linux, its
     module vhci-hcd, and the right to plug into it: sudo.
 
     `stage` is a GRBL 1.1 controller with a rail of 200 mm, on a serial port whose name is printed: for a rig

@@ -27,7 +27,7 @@ def live_command(
         typer.Option(
             "--plan",
             help="Plan that will be measured with; by default plan_board.yaml with --target, else "
-            "plan_paper.yaml.",
+            "plan_scan.yaml.",
             autocompletion=names_of("plan"),
         ),
     ] = None,

@@ -82,7 +82,7 @@ def new_command(
 
 
 @rig_app.command("timing")
-def timing_command(rig: RigName, plan: PlanName = "plan_paper.yaml", json: Json = False) -> None:
+def timing_command(rig: RigName, plan: PlanName = "plan_scan.yaml", json: Json = False) -> None:
     """Measure with the camera how late the projector shows a pattern, and how long it refreshes.
 
     Needs a white card or a bright part in the light. Tells the `settle_s` that a stepped plan needs. The exit

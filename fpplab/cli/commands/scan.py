@@ -28,7 +28,7 @@ def scan_command(
     rig: RigName,
     calibration: CalibrationOption,
     out: Out,
-    plan: PlanName = "plan_paper.yaml",
+    plan: PlanName = "plan_scan.yaml",
     item: Annotated[
         str | None, typer.Option("--item", help="Have the rig's fixture put this up first.")
     ] = None,

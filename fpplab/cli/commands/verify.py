@@ -53,7 +53,7 @@ def verify_command(
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="Of the rig, or of sessions without a cloud.")
     ] = None,
-    plan: PlanName = "plan_paper.yaml",
+    plan: PlanName = "plan_scan.yaml",
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     force: Force = False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
@@ -10,8 +11,10 @@ import numpy as np
 from fpplab.core.config import Positive
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
-from fpplab.diagnosis.limits import LimitsSection
+from fpplab.diagnosis.limits import DiagnosisLimits, LimitsSection
 from fpplab.diagnosis.points import systematic_epipolar_px
+from fpplab.phase import Decoded
+from fpplab.phase.limits import GUIDED_AXIS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,23 +38,45 @@ def _find_other_devices(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Fi
 
 
 def _find_moved_rig(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
-    off, limit = systematic_epipolar_px(evidence.points.cloud), _max_epipolar_px(evidence)
+    off, limit = systematic_epipolar_px(evidence.points.cloud), _limit_px(evidence)
     if off is not None and off > limit:
         text = (
-            f"points lie {off:.2f} projector px off their epipolar lines, systematically (at most {limit:g})"
+            f"points lie {off:.2f} projector px off their epipolar lines, systematically "
+            f"(at most {limit:.2g})"
         )
         yield Finding(STALE_CALIBRATION, text, off / limit)
 
 
-def _max_epipolar_px(evidence: Evidence) -> float:
-    return evidence.limits.of(StaleCalibrationLimits).max_epipolar_px
+def _find_fringes_elsewhere(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    guided = evidence.decoded.guided if evidence.decoded else None
+    if guided is None or not guided.is_contradicted:
+        return
+    text = (
+        f"at {guided.share_off:.0%} of the pixels the fringes along {evidence.plan.guided_axis} lie more "
+        f"than {GUIDED_AXIS.max_off_turns:g} periods from where the calibration puts them (at most "
+        f"{GUIDED_AXIS.max_off_share:.0%}), so that nothing tells their orders"
+    )
+    yield Finding(STALE_CALIBRATION, text, STALE_CALIBRATION.useless_from)
+
+
+def max_epipolar_px(limits: DiagnosisLimits, decoded: Decoded | None) -> float:
+    """Give the greatest systematic distance from the epipolar lines that a sound rig may show."""
+    guided = decoded.guided if decoded else None
+    # Three steps do not suppress the second harmonic, which shifts coordinates and not the geometry.
+    return math.hypot(
+        limits.of(StaleCalibrationLimits).max_epipolar_px, guided.phase_error_px if guided else 0.0
+    )
+
+
+def _limit_px(evidence: Evidence) -> float:
+    return max_epipolar_px(evidence.limits, evidence.decoded)
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
     """How far points are off their epipolar lines."""
     from fpplab.core.drawing import colour_bar, draw_map, map_axes
 
-    points, limit = evidence.points, _max_epipolar_px(evidence)
+    points, limit = evidence.points, _limit_px(evidence)
     distance_px = points.cloud.epipolar_px
     if distance_px is None or points.cloud.pixels is None:
         return None
@@ -61,7 +86,7 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
     values[v, u] = distance_px
     range_px = max(float(np.nanpercentile(np.abs(values), 98)), 2.0 * limit)
     figure, axes = map_axes(values.shape)
-    label = f"distance in projector px (limit {limit:g})"
+    label = f"distance in projector px (limit {limit:.2g})"
     colour_bar(figure, axes, draw_map(axes, values, "RdBu", (-range_px, range_px)), label)
     return figure
 
@@ -71,12 +96,15 @@ STALE_CALIBRATION = FaultCause(
     meaning="The rig is no longer the one that was calibrated.",
     remedy="characterise the rig again; something was moved, refocused or exchanged, "
     "or the images show another region of the sensor",
-    measured="distance of points from their epipolar lines, over groups of neighbours",
-    limit=f"{StaleCalibrationLimits().max_epipolar_px:g} projector px",
+    measured="distance of points from their epipolar lines, over groups of neighbours; share of pixels whose "
+    "fringes along a guided axis lie a quarter of a period off",
+    limit=f"{StaleCalibrationLimits().max_epipolar_px:g} projector px, and the waves of three steps; "
+    f"{GUIDED_AXIS.max_off_share:.0%}",
     seen_in="points, two axes",
     detectors=(
         Detector(DetectionStage.POINTS, _find_other_devices),
         Detector(DetectionStage.POINTS, _find_moved_rig),
+        Detector(DetectionStage.POINTS, _find_fringes_elsewhere),
     ),
     picture=Picture(Needs.POINTS, _draw),
     useless_from=10.0,  # chosen: nothing else explains a distance of 3 px

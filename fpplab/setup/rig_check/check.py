@@ -32,7 +32,7 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
 from fpplab.setup.rig_check.devices import (
@@ -225,7 +225,7 @@ class _FringeInspection:
 
     def _with_points(self, recording: Recording, rig: Rig, calibration: Calibration) -> Diagnosis:
         depth = first_stated((self._plan.depth_mm, "plan"), (rig.file.depth_mm, str(rig.source)))
-        decoded = decode(recording, bounds=depth_bounds(recording.plan, calibration, depth))
+        decoded = decode(recording, bounds=decoding_bounds(recording.plan, calibration, depth))
         cloud = None
         if decoded.valid.any():
             try:

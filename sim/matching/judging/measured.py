@@ -19,7 +19,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.pipeline import reconstruct_points
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.sessions.session import Session
@@ -53,7 +53,7 @@ def expected_figures(
 def _points(
     recording: Recording, calibration: Calibration, depth: DepthRange | None
 ) -> tuple[Decoded, Cloud]:
-    bounds = depth_bounds(recording.plan, calibration, depth)
+    bounds = decoding_bounds(recording.plan, calibration, depth)
     return points_of(decode(recording, bounds=bounds), calibration, recording.plan)
 
 
@@ -67,5 +67,5 @@ def _figures(
     """The figures, the shape where its points are, and the pixels that see it."""
     T_camera_mesh = align_mesh(points[1].points.astype(float), mesh).transform
     placed = mesh.copy().apply_transform(T_camera_mesh.matrix)
-    bounds, surface = depth_bounds(plan, calibration, depth), seen_surface(placed, calibration)
+    bounds, surface = decoding_bounds(plan, calibration, depth), seen_surface(placed, calibration)
     return figures_of(*points, placed, calibration, plan, surface, bounds), placed, surface[0]

@@ -30,7 +30,7 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.pipeline import reconstruct_points
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import camera_rays
 from fpplab.sessions.session import Session
@@ -196,5 +196,5 @@ def _scan_item(
     settings = session.records[0].settings
     frames = twin.scan(item, T_camera_item, make_patterns(plan, size, lattice), settings)
     recording = Recording(frames, plan, size, settings.bits, f"the twin's {item}")
-    decoded = decode(recording, bounds=depth_bounds(plan, calibration, session.depth))
+    decoded = decode(recording, bounds=decoding_bounds(plan, calibration, session.depth))
     return points_of(decoded, calibration, plan, recording.mean_image())[1]
