@@ -227,6 +227,9 @@ class NeighbourLimits(NamedTuple):
     that of one that changes by 1 rad from pixel to pixel."""
     max_correlation: float = 0.04
     """Correlation of neighbours' residuals of a sensor's own frames. Measured on simulated ones: 0.01."""
+    max_growth: float = 2.25
+    """Greatest growth of squared second differences from pixels 2 px apart to 3 px, of noise. Derived: noise
+    does not grow, surfaces and waves grow by 81/16; this is between, in proportion."""
     max_scatter: float = 100.0
     """Greatest variance of phases beside that of residuals. Chosen: no filter of images makes as much."""
 

@@ -9,8 +9,9 @@ of the phase along rows and columns take smooth surfaces away. What is left is n
 
 where w is the blur in px, A the brightness, and N the number of images. Least squares find w², a and b. The
 rest is compared with second differences of the residuals of the sinusoids, which went through the same
-filter: the ratio is one unless phases scatter by more than residuals show. A rough surface scatters too, so
-the ratio counts only where residuals of neighbours are correlated, as those of a sensor's own frames are not.
+filter: the ratio is one unless phases scatter by more than residuals show. Three steps leave no residuals,
+and the phases' second differences alone tell. A rough surface scatters too, so all this counts only where
+residuals of neighbours are correlated, as those of a sensor's own frames are not.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from fpplab.phase.noise import NoiseModel, surprising_power
 S = TypeVar("S", bound=np.generic)
 
 _ALONG = (-2, -1)  # axes of an array of tiles that are rows and columns
+_SQUARE_OF_BEND = 6.0  # variance of the second difference of independent values, 1² + 2² + 1²
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +125,11 @@ class _PhasesInTiles:
         strengths, rest, kept = _fitted(terms.reshape(3, -1), bends.ravel())
         ripple_rad = float(np.hypot(*strengths[1:])) / np.sqrt(2.0)
         beyond = max(0.0, ripple_rad**2 - float(np.nan_to_num(errors.harmonic_rad)) ** 2)
-        residuals = self._change_of_offset(others) if fit is None else self._residuals(fit)
-        scatter = self._scatter(residuals, rest.reshape(2, -1), kept.reshape(2, -1))
+        if fit is None:
+            nearest = float(np.square(rest[kept]).mean())
+            scatter = self._scatter_of_three_steps(others, nearest, strengths, shapes)
+        else:
+            scatter = self._scatter(self._residuals(fit), rest.reshape(2, -1), kept.reshape(2, -1))
         ripple_rad = float(np.sqrt(beyond))
         return replace(errors, ripple_rad=ripple_rad, scatter=scatter, blur_px2=float(strengths[0]))
 
@@ -147,6 +152,41 @@ class _PhasesInTiles:
         change -= np.einsum("a,a...->...", strengths, terms)
         return np.asarray(change / np.sqrt(1.0 / len(self.levels) + 1.0 / len(others)))[None]
 
+    def _scatter_of_three_steps(
+        self, others: Floats, nearest: float, strengths: Floats, shapes: Floats
+    ) -> float:
+        """Variance of the phases beside that of noise, by phases alone; 1 where neighbours are independent.
+
+        Offsets tell whether frames were filtered, but not by how much phases scatter: a filter changes the
+        offset of coarse fringes otherwise than that of fine ones.
+        """
+        # shapes (3, T, side, side)
+        if not _are_correlated(self._change_of_offset(others), self.used):
+            return 1.0
+        # Neighbours share some of the noise of filtered frames; pixels further apart do not.
+        second, third = (self._mean_square_bend(apart, strengths, shapes) for apart in (2, 3))
+        is_noise = third < NEIGHBOURS.max_growth * second
+        far = 0.5 * (second + third) if is_noise else nearest
+        per_power = _inner(self.noise.variance(self.fitted[0]) / np.square(self.modulation))[self.used]
+        noise = _SQUARE_OF_BEND * 2.0 / len(self.levels) * float(per_power.mean())
+        scatter = max(nearest, far) / noise
+        return (
+            scatter if scatter < NEIGHBOURS.max_scatter else 1.0
+        )  # a rough surface, or images without noise
+
+    def _mean_square_bend(self, apart: int, strengths: Floats, shapes: Floats) -> float:
+        """Mean square of the second differences of pixels some px apart, beyond edges and ripple."""
+        # strengths (3,); shapes (3, T, side, side)
+        near = [np.roll(self._bright, by, axis) for axis in _ALONG for by in (-apart, 0, apart)]
+        used = _inner(np.all(near, axis=0), max(apart, 2))
+        rest = [
+            _bend(self.phasor, axis, apart) - np.tensordot(strengths, _differences(shapes, axis, apart), 1)
+            for axis in _ALONG
+        ]
+        values = np.stack(rest)[:, used]
+        spread = robust_spread(values.ravel(), 1e-6)
+        return float(np.square(values[np.abs(values) < NEIGHBOURS.outlier_sigmas * spread]).mean())
+
     def _scatter(self, residuals: Floats, rest: Floats, kept: Mask) -> float:
         """Variance of the phases beside that of noise; 1 where neighbours are independent."""
         # residuals (R, T, side, side); rest (2, P); kept (2, P)
@@ -164,9 +204,9 @@ class _PhasesInTiles:
         return max(scattered / noise, 1.0) * max(float(power.mean()), 1.0)
 
 
-def _inner(values: NDArray[S]) -> NDArray[S]:
-    """Tiles without two pixels at every side, whose neighbours lie in other tiles or are none."""
-    return values[..., 2:-2, 2:-2]
+def _inner(values: NDArray[S], margin: int = 2) -> NDArray[S]:
+    """Tiles without some pixels at every side, whose neighbours lie in other tiles or are none."""
+    return values[..., margin:-margin, margin:-margin]
 
 
 def _slope(phasor: Floats, axis: int) -> Floats:
@@ -174,14 +214,16 @@ def _slope(phasor: Floats, axis: int) -> Floats:
     return np.asarray(0.5 * np.angle(np.roll(phasor, -1, axis) * np.roll(phasor, 1, axis).conj()))
 
 
-def _bend(phasor: Floats, axis: int) -> Floats:
+def _bend(phasor: Floats, axis: int, apart: int = 1) -> Floats:
     """Second difference of the phase in rad."""
-    return _inner(np.angle(np.roll(phasor, -1, axis) * np.roll(phasor, 1, axis) * phasor.conj() ** 2))
+    beside = np.roll(phasor, -apart, axis) * np.roll(phasor, apart, axis)
+    return _inner(np.angle(beside * phasor.conj() ** 2), max(apart, 2))
 
 
-def _differences(values: Floats, axis: int) -> Floats:
+def _differences(values: Floats, axis: int, apart: int = 1) -> Floats:
     """Second differences of values that do not wrap."""
-    return np.asarray(_inner(np.roll(values, -1, axis) + np.roll(values, 1, axis)) - 2.0 * _inner(values))
+    differences = np.roll(values, -apart, axis) + np.roll(values, apart, axis) - 2.0 * values
+    return np.asarray(_inner(differences, max(apart, 2)))
 
 
 def _fitted(terms: Floats, values: Floats) -> tuple[Floats, Floats, Mask]:

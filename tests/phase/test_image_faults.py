@@ -32,9 +32,10 @@ def test_sigma_is_that_of_the_errors(fault: str) -> None:
     assert 0.8 < stated / actual < 1.25
 
 
-def test_sigma_holds_for_compressed_frames_of_three_steps() -> None:
-    scene = drawn_scene(22, (3,))
-    frames = jpeg(60)(scene.frames, np.random.default_rng(22))
+@pytest.mark.parametrize("fault", ["jpeg", "median", "bilateral", "non_local"])
+def test_sigma_holds_for_filtered_frames_of_three_steps(fault: str) -> None:
+    scene, damage = drawn_scene(22, (3,)), SIGMA_JUDGED[fault]
+    frames = damage(scene.frames, np.random.default_rng(22))
     stated, actual = stated_and_actual(scene, decode(Recording(frames, scene.plan, PROJECTOR)))
     assert 0.8 < stated / actual < 1.25
 

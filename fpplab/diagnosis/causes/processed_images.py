@@ -29,7 +29,9 @@ def _find(evidence: Evidence, before: Sequence[Finding]) -> Iterator[Finding]:
         return  # light that changes, and rows of other frames, are shared by neighbours too
     finest = sample.recording.plan.finest_set()
     errors = sample.errors.sets[finest]
-    rad = math.hypot(errors.ripple_rad, math.sqrt(errors.scatter - 1.0) * sample.phase_noise(finest))
+    rad = math.hypot(
+        errors.ripple_rad, math.sqrt(max(errors.scatter - 1.0, 0.0)) * sample.phase_noise(finest)
+    )
     min_rad = evidence.limits.of(ProcessedImagesLimits).min_phase_error_rad
     text = "errors that neighbouring pixels share, as compression and noise reduction leave them,"
     if (finding := phase_error_finding(sample, PROCESSED_IMAGES, rad, min_rad, text)) is not None:
