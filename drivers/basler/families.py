@@ -5,10 +5,8 @@ a missing one is noticed, and what the integer `GainRaw` of some models means. 0
 manual's formula for models with CCD sensors; over USB the same sensors have their range in dB. For CMOSIS
 sensors the gain is 20 log10(GainRaw / 32). For other models the rig file states what GainRaw means.
 
-References
-----------
-Basler, User's Manual for GigE Vision cameras (AW000893) and for USB 3.0 cameras (AW001234), chapters on gain;
-Basler product documentation, parameter reference.
+Source: Basler, User's Manual for GigE Vision cameras (AW000893) and for USB 3.0 cameras (AW001234), chapters
+on gain; Basler product documentation, parameter reference.
 """
 
 from __future__ import annotations

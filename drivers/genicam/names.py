@@ -1,8 +1,6 @@
 """Names of camera features: those of SFNC 2 first, then those that cameras had before.
 
-References
-----------
-GenICam Standard Features Naming Convention (SFNC) 2.7; Basler's parameter reference for SFNC 1 names.
+Source: GenICam Standard Features Naming Convention (SFNC) 2.7; Basler's parameter reference for SFNC 1 names.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Controls of a video camera, by the kernel's numbers, and the values at which frames are the sensor's.
 
-References
-----------
-Linux, include/uapi/linux/v4l2-controls.h; USB Device Class Definition for Video Devices 1.5, 4.2.2.
+Source: Linux, include/uapi/linux/v4l2-controls.h; USB Device Class Definition for Video Devices 1.5, 4.2.2.
 """
 
 from __future__ import annotations

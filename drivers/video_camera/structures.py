@@ -1,8 +1,6 @@
 """Structures, numbers and requests of the kernel's video interface, on 64-bit Linux.
 
-References
-----------
-Linux, Documentation/userspace-api/media/v4l and include/uapi/linux/videodev2.h.
+Source: Linux, Documentation/userspace-api/media/v4l and include/uapi/linux/videodev2.h.
 """
 
 from __future__ import annotations

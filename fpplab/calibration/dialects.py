@@ -5,10 +5,8 @@ Each file becomes entries under the names of OpenCV's stereo sample (`M1 D1 M2 D
 
 All but MATLAB's own objects count pixels from (0, 0) at the centre of the first pixel.
 
-References
-----------
-OpenCV, `samples/cpp/stereo_calib.cpp`, `samples/cpp/tutorial_code/calib3d/camera_calibration`; Kalibr, wiki,
-"yaml formats"; ROS, `sensor_msgs/CameraInfo` and `geometry_msgs/TransformStamped`; MathWorks,
+Source: OpenCV, `samples/cpp/stereo_calib.cpp`, `samples/cpp/tutorial_code/calib3d/camera_calibration`;
+Kalibr, wiki, "yaml formats"; ROS, `sensor_msgs/CameraInfo` and `geometry_msgs/TransformStamped`; MathWorks,
 "stereoParameters" and `toStruct`; J.-Y. Bouguet, "Camera Calibration Toolbox for Matlab"; mrcal, "Camera
 model representation".
 """

@@ -34,7 +34,6 @@ def calibration_table(
 def draw_from_above(
     devices: Mapping[str, Pinhole], T_projector_camera: RigidTransform, reach_mm: float, axes: Axes | None
 ) -> Axes:
-    """Draw camera and projector from above, with the field of view of each."""
     chosen = axes_or_new(axes)
     poses = {"camera": RigidTransform.identity(), "projector": T_projector_camera.inverse()}
     for name, device in devices.items():

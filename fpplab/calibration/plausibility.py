@@ -38,8 +38,7 @@ ASPECTS = {Lattice.SQUARE: (1.0, 2.0), Lattice.DIAMOND: (2.0,)}
 """fy / fx of projectors: rows of a diamond lattice lie half as far apart as its columns, also where it is
 taken for a square one."""
 
-_GRID = 33
-"""Points of an image along each side at which its lens is tried. Chosen."""
+_GRID = 33  # points of an image along each side at which its lens is tried (chosen)
 _DEPTHS = np.geomspace(0.25, 200.0, 60)
 """Distances in baselines at which both devices may see the same point. Chosen."""
 

@@ -3,10 +3,8 @@
 All count pixels as fpplab does, with (0, 0) at the centre of the first pixel: MATLAB's own functions count
 from 1, and `stereoParametersFromOpenCV`, for which the file is made, adds the difference.
 
-References
-----------
-J. Wilm, SLStudio, `CalibrationData.cpp`; MathWorks, "stereoParametersFromOpenCV"; J.-Y. Bouguet, "Camera
-Calibration Toolbox for Matlab", "Calibrating a stereo system"; ROS, `camera_calibration_parsers` and
+Source: J. Wilm, SLStudio, `CalibrationData.cpp`; MathWorks, "stereoParametersFromOpenCV"; J.-Y. Bouguet,
+"Camera Calibration Toolbox for Matlab", "Calibrating a stereo system"; ROS, `camera_calibration_parsers` and
 `sensor_msgs/CameraInfo`.
 """
 
@@ -60,7 +58,6 @@ def layout_of(path: Path) -> str:
 
 
 def parameter_rows(calibration: Calibration) -> list[Row]:
-    """List all parameters of a calibration."""
     pose = calibration.T_projector_camera
     values = {
         f"{name}.{term}": value

@@ -20,8 +20,7 @@ REGION_NAMES = (
 )
 """Names of the ninths of an image, by row and column."""
 
-Ninths = NDArray[np.bool_]
-"""(3, 3), by row and column of an image."""
+Ninths = NDArray[np.bool_]  # (3, 3), by row and column of an image
 
 
 def coverage_warnings(
@@ -104,7 +103,6 @@ def covered_regions(observations: Sequence[Observation], device: str, size: tupl
 
 
 def regions_with_points(pixels: Floats, size: tuple[int, int]) -> Ninths:
-    """Tell which ninths of an image contain points."""
     # pixels (K, 2) px; size (width, height) px; returns (3, 3)
     held = np.zeros((3, 3), np.bool_)
     column, row = np.clip((3 * (pixels + 0.5) / np.array(size)).astype(int), 0, 2).T

@@ -92,7 +92,6 @@ def first_estimate(
     refined: bool = True,
     limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> tuple[JointEstimate, dict[str, str]]:
-    """Estimate the devices from the first poses."""
     # image_sizes (width, height) px
     odd: dict[str, str] = {}
     model = model_of(target, image_sizes, level, refined, limits)

@@ -95,7 +95,6 @@ class Guide:
         return volume.form_mm(self.estimate.solution, self.level, self.estimate.covariance)
 
     def next_pose(self, fill: bool = False) -> WantedPose:
-        """Choose the next pose."""
         if not self.observations:
             return WantedPose(FIRST_POSE)
         if self.estimate is None:
@@ -155,7 +154,6 @@ class Guide:
         return replace(fit, outlying_pose=outlying_pose)
 
     def add(self, observation: Observation) -> dict[str, str]:
-        """Add a pose to the estimate."""
         self.observations.append(observation)
         if self.estimate is not None:
             self.estimate = self.estimate.with_pose(observation)

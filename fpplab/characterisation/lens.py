@@ -29,7 +29,6 @@ def scales_of_poses(
 
 
 def scale_scatter(scales: Floats, sigmas: Floats) -> tuple[float, float]:
-    """Compute the scatter of the scales beyond their uncertainty."""
     weights = 1.0 / sigmas**2
     deviations = scales - float((weights * scales).sum() / weights.sum())
     freedom = len(scales) - 1

@@ -9,10 +9,8 @@ from pydantic import Field
 
 from fpplab.core.config import Document, Positive
 
-Chance = Annotated[float, Field(gt=0.0, lt=1.0)]
-"""A probability."""
-PartOfOne = Annotated[float, Field(gt=0.0, le=1.0)]
-"""A part of a whole."""
+Chance = Annotated[float, Field(gt=0.0, lt=1.0)]  # a probability
+PartOfOne = Annotated[float, Field(gt=0.0, le=1.0)]  # a part of a whole
 
 
 class CharacterisationLimits(Document):
@@ -75,24 +73,20 @@ class PoseLimits:
     wrong one. Chosen: twice as many as are needed."""
     similar_mm: float = 15.0
     """Distance in mm below which candidates are excluded with a pose. Chosen: what a hand holds apart."""
-    similar_deg: float = 12.0
-    """Rotation in degrees below which they are, as `similar_mm`."""
+    similar_deg: float = 12.0  # rotation in degrees below which they are, as `similar_mm`
 
 
 class LocalFitLimits(NamedTuple):
     """Limits of the fit of projector coordinates around a point, read by compiled functions."""
 
-    window_pitches: float = 0.8
-    """Half the side of the window, in pitches of the board. Chosen."""
-    min_pixels: int = 40
-    """Pixels that a fit of six coefficients needs to reject outliers. Chosen."""
+    window_pitches: float = 0.8  # half the side of the window, in pitches of the board (chosen)
+    min_pixels: int = 40  # pixels that a fit of six coefficients needs to reject outliers (chosen)
     max_off_centre: float = 0.35
     """How far the middle of the valid pixels may be from the point, in half sides of the window. Chosen."""
     max_median_ratio: float = 4 * 1.4826
     """Residual beyond which a pixel is left out, in medians of the absolute residuals. Derived: 4 standard
     deviations."""
-    max_rounds: int = 4
-    """How often outliers are left out. Chosen."""
+    max_rounds: int = 4  # how often outliers are left out (chosen)
 
 
 USUAL_LIMITS = CharacterisationLimits()

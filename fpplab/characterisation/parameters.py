@@ -14,8 +14,7 @@ from fpplab.characterisation.observation import Observation
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 
-ImageSize = tuple[int, int]
-"""(width, height) in px."""
+ImageSize = tuple[int, int]  # (width, height) in px
 
 DEFAULT_SCALE_TOLERANCE = 2e-4
 """Relative standard uncertainty of a board's scale where its target file gives none: what a calliper that
@@ -95,22 +94,18 @@ class BundleSettings:
     greatest. Chosen."""
     initial_damping: float = 1e-6
     """Damping at which the fit starts, relative to the diagonal of the normal equations. Chosen."""
-    max_damping: float = 1e8
-    """Damping at which the fit ends: no step reduces the residuals. Chosen."""
-    max_steps: int = 200
-    """Most steps of the fit. Chosen."""
+    max_damping: float = 1e8  # damping at which the fit ends: no step reduces the residuals (chosen)
+    max_steps: int = 200  # most steps of the fit (chosen)
     min_relative_gain: float = 1e-7
     """Relative reduction of the loss at which the fit ends. Chosen: a thirtieth of a standard deviation for
     10 000 residuals."""
-    max_rounds: int = 20
-    """Most iterations of the estimate of the errors' sizes. Chosen."""
+    max_rounds: int = 20  # most iterations of the estimate of the errors' sizes (chosen)
     max_settled_change: float = 0.01
     """Relative change of the errors' sizes at which their iteration ends. Chosen."""
     initial_board_error_mm: float = 0.03
     """Errors of the board's points in mm from which the estimate starts, without a tolerance. Chosen: printed
     boards are off by tens of µm."""
-    min_error_px: float = 1e-6
-    """Least standard deviation in px that is estimated. Chosen."""
+    min_error_px: float = 1e-6  # least standard deviation in px that is estimated (chosen)
     min_board_error_ratio: float = 0.02
     """Least errors of the board that are estimated, relative to the noise of the camera's points. Chosen:
     smaller ones have no effect."""
@@ -141,7 +136,6 @@ def vectors_of(transform: RigidTransform) -> Floats:
 
 
 def project_with_derivatives(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Floats]:
-    """Project points, with derivatives."""
     # points (K, 3) mm; pose (6,) rad; intrinsics (12,); returns pixels (K, 2) px, slopes (2 K, 18)
     fx, fy, cx, cy = intrinsics[:4]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])

@@ -26,7 +26,6 @@ FIRST_POSE = (
 
 
 def describe_pose(pose: RigidTransform, camera: Pinhole, first_mm: float) -> str:
-    """Describe a pose."""
     u, v = camera.project(pose.translation)
     column, row = (int(np.clip(3 * (x + 0.5) / n, 0, 2)) for x, n in zip((u, v), camera.size, strict=True))
     parts = [

@@ -14,8 +14,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import CalibrationError
 
-COLUMNS, ROWS, DEPTHS = 9, 7, 3
-"""Sample of the working volume: pixels across the camera's image, and depths."""
+COLUMNS, ROWS, DEPTHS = 9, 7, 3  # sample of the working volume: pixels across the camera's image, and depths
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +47,6 @@ class WorkingVolume:
         return moved, without_motion(moved, self.points)
 
     def form_mm(self, solution: Solution, level: DistortionModel, covariance: Floats) -> float:
-        """Compute the standard uncertainty of form in the volume."""
         # covariance (n, n)
         _, slopes = self.slopes(solution, level)
         return float(np.sqrt(max(np.einsum("mi,ij,mj->", slopes, covariance, slopes), 0.0)))

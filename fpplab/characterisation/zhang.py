@@ -19,8 +19,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError, UndeterminedError
 from fpplab.core.geometry import RigidTransform
 
-BoardPixels = list[Floats]
-"""Points of each pose, (K, 2) or (K, 3)."""
+BoardPixels = list[Floats]  # points of each pose, (K, 2) or (K, 3)
 
 
 def calibrate_separately(
@@ -118,7 +117,6 @@ def _zhang_from(
 def fit_pose_between_devices(
     observations: Sequence[Observation], start: Solution, size: ImageSize
 ) -> tuple[Floats, float]:
-    """Fit the pose between both devices with both held."""
     # size (width, height) px; returns pair (6,) rad
     rms, *_, rotation, translation, _, _ = cv2.stereoCalibrate(
         [start.board[o.ids].astype(np.float32) for o in observations],

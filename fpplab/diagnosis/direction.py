@@ -23,7 +23,6 @@ class DirectionLimits(LimitsSection):
 
 
 def changes_along_image(coordinate: Map, calibration: Calibration, axis: Axis, stride: int) -> Floats:
-    """Compare the change of the coordinate along the image with that which the calibration predicts."""
     # On a surface at constant depth the calibration predicts how the coordinate changes along the image. A
     # slope of the surface makes it change faster or slower, but never backwards: both devices see its front.
     # coordinate (height, width) px; returns (rows, columns)

@@ -17,8 +17,7 @@ from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Floats
 from fpplab.patterns.limits import PATTERN_LIMITS as LIMITS
 
-DEGREE = 3
-"""Degree of the spline (chosen: cubic)."""
+DEGREE = 3  # degree of the spline (chosen: cubic)
 
 _INVERSE = np.linspace(0.0, 1.0, 1 << 16)
 
@@ -60,11 +59,9 @@ class Curve(Document):
         return evaluate_spline(self.spline, levels) if self.spline else np.asarray(levels**self.g)
 
     def apply(self, levels_in: ArrayLike) -> Floats:
-        """Compute the levels seen for levels shown."""
         return np.asarray(self.a * self.shape(levels_in) + self.b)
 
     def invert(self, levels_out: ArrayLike) -> Floats:
-        """Compute the levels shown for levels seen."""
         share = (np.asarray(levels_out, np.float64) - self.b) / self.a
         if self.spline:
             return np.where((share >= 0) & (share <= 1 + 1e-12), self.correct(np.clip(share, 0, 1)), np.nan)
@@ -104,7 +101,6 @@ def knots(coefficients: int) -> Floats:
 
 
 def evaluate_spline(coefficients: tuple[float, ...], levels: Floats) -> Floats:
-    """Evaluate a spline."""
     spline = BSpline(knots(len(coefficients)), np.asarray(coefficients), DEGREE)
     return np.asarray(spline(np.clip(levels, 0.0, 1.0)), np.float64)
 

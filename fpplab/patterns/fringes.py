@@ -33,7 +33,6 @@ def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8
 def pattern_image(
     plan: Plan, index: int, step: int, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
 ) -> NDArray[np.uint8]:
-    """Compute the image of one step of a fringe set."""
     # It is corrected for the plan's response before it is quantised, so that each grey level is the nearest
     # to the light that is wanted.
     # returns (height, width)
@@ -50,7 +49,6 @@ def pattern_image(
 def make_patterns(
     plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
 ) -> tuple[Pattern, ...]:
-    """Compute every pattern of a plan, in the order shown."""
     # A plan with a response gives the patterns whose light is sinusoidal, see `pattern_image`. The same
     # arguments give the same, read-only, patterns again, so that a backend can tell them by identity.
     plan.check_projector(size, "plan")

@@ -12,13 +12,11 @@ class PatternLimits:
     min_exponent: float = 0.5
     """Least exponent of a response that patterns are corrected with. Derived: 256 grey levels show its
     inverse with at most 0.007 rad of error in three steps."""
-    max_exponent: float = 5.0
-    """Greatest such exponent, as `min_exponent`."""
+    max_exponent: float = 5.0  # greatest such exponent, as `min_exponent`
     max_phase_error_rad: float = 0.01
     """Greatest acceptable RMS phase error. Derived: about the noise of one pixel of twelve 8-bit frames,
     0.02 px of a projector of 912 columns at 64 stripes."""
-    max_steps: int = 30
-    """Greatest number of steps that are tried. Chosen."""
+    max_steps: int = 30  # greatest number of steps that are tried (chosen)
     coverage: float = 2.0
     """Coverage factor, in standard uncertainties: a fit is judged at its worse end, and a spline must predict
     better by as many standard errors. Chosen: about 95 %."""
@@ -37,8 +35,7 @@ class PatternLimits:
     max_spread_g: float = 0.05
     """Relative spread of the regions' g beyond which there is no common response. Derived: g of 1.05 instead
     of 1 changes the phase of three steps by 0.01 rad."""
-    max_coefficients: int = 24
-    """Most coefficients of a spline. Chosen."""
+    max_coefficients: int = 24  # most coefficients of a spline (chosen)
     min_reach: float = 0.98
     """Level shown that must have been seen, since a spline tells nothing beyond the last level. Chosen."""
     max_error_ratio: float = 0.7

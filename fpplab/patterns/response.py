@@ -124,7 +124,6 @@ class Response(Curve):
 
     @classmethod
     def load(cls, path: Path | str) -> Response:
-        """Read a response file."""
         return config.load_document(path, cls, "response")
 
     def curve(self, source: Path | str) -> Curve:

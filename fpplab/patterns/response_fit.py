@@ -17,11 +17,9 @@ from fpplab.core.errors import CalibrationError
 from fpplab.patterns.limits import PATTERN_LIMITS as LIMITS
 from fpplab.patterns.response import Region, Response, fit_response
 
-GRID = 3
-"""Regions along each side of the image (chosen)."""
+GRID = 3  # regions along each side of the image (chosen)
 
-MEAN, NOISE, SPREAD, WHITE = range(4)
-"""Rows of the result of `statistics`."""
+MEAN, NOISE, SPREAD, WHITE = range(4)  # rows of the result of `statistics`
 
 
 def statistics(image: Image, bits: int) -> Floats:
@@ -55,7 +53,6 @@ class GreyLevelImages:
 
 
 def pixels_of_regions(image: Image) -> Floats:
-    """Count the pixels of each region."""
     # image (height, width); returns (GRID²,)
     return np.array([float(part.size) for part in _cut_into_regions(image)])
 

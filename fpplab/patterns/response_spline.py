@@ -4,9 +4,7 @@ The coefficients of a B-spline that never fall make a curve that never falls (Ra
 rises are found by non-negative least squares. How many there are, and whether the spline replaces the power
 law, is decided by how well each level is predicted from the others.
 
-References
-----------
-Ramsay, Monotone regression splines in action, Stat. Sci. 3, 1988
+Source: Ramsay, Monotone regression splines in action, Stat. Sci. 3, 1988.
 """
 
 from __future__ import annotations

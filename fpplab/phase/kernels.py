@@ -406,7 +406,6 @@ def _add_frames(accumulators: Any, at: int, pixel_count: int, s: int, like: Any,
 
 @compiled
 def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) -> Any:
-    """Fill the maps for a range of pixels."""
     # Releases the interpreter's lock, so that threads may share a frame's pixels.
     sets = len(recipe.origin)
     accumulators, rows = np.zeros((_SUM_ROWS + 1) * ROW, np.float32), np.empty(_UNWRAP_ROWS * ROW, np.float32)

@@ -14,7 +14,6 @@ from fpplab.sessions.session import Session
 
 @contextmanager
 def write_frames(session: Session, observe: Callable[[Frame], None]) -> Iterator[Callable[[Frame], None]]:
-    """Write frames into a session, in a thread of its own."""
     # Frames are written one by one, in the order in which they are given, and none after one that could not
     # be. The caller's thread shows each to `observe` once it is on disk. What was given is written also when
     # the block ends by an exception. What `Session.write` raises is raised by the function or at the end of

@@ -61,7 +61,6 @@ class RecordedSession:
         return origin.camera_offset if origin else None
 
     def info(self, name: str) -> DeviceInfo:
-        """Describe a replayed device."""
         path = self.session.path
         origin = session_origin(path)
         recorded = origin.devices.get(name) if origin else None

@@ -27,8 +27,7 @@ class InkDisc(NamedTuple):
     radius: float  # in mm
 
 
-InkShape = InkBox | InkDisc
-"""A part of a board's drawing; the parts do not overlap."""
+InkShape = InkBox | InkDisc  # a part of a board's drawing; the parts do not overlap
 
 
 def covered_share(shapes: Iterable[InkShape], size_mm: tuple[float, float], px_per_mm: float) -> Floats:

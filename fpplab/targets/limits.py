@@ -27,10 +27,8 @@ class TargetLimits(NamedTuple):
     contrasts. Chosen."""
     max_lattice_offset: float = 0.2
     """How far a point of the lattice may be from where it is expected, in steps. Chosen."""
-    max_fit_steps: int = 100
-    """Steps of the fit of one point. Chosen."""
-    centre_tolerance_px: float = 1e-6
-    """The centre of a point has converged when it moves by less. Chosen."""
+    max_fit_steps: int = 100  # steps of the fit of one point (chosen)
+    centre_tolerance_px: float = 1e-6  # the centre of a point has converged when it moves by less (chosen)
     edge_blurs: float = 4.5
     """Distance from an edge, in parameters of its blur, beyond which the model is constant. Derived: it is ±1
     to within 2e-10 there."""

@@ -43,7 +43,6 @@ class UnclearPart(CalibrationError):  # noqa: N818 - the view is at fault, not t
 
 
 def detect_part(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
-    """Find part of a board in a grey image."""
     # image (height, width)
     level = np.nan_to_num(np.asarray(image, np.float64))
     patch = layout.find_patch(stretch_to_8_bits(level))

@@ -17,7 +17,6 @@ from fpplab.targets.views import window_pixels
 
 
 def fit_centres(level: Floats, pixels: Floats, frames: Floats, model: PointModel) -> Floats:
-    """Fit the model around every point."""
     # level (height, width); pixels (K, 2); frames (K, 2, 2) px; returns (K, 2) px
     if not len(pixels):
         return np.empty((0, 2))

@@ -28,28 +28,20 @@ PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4)}
 """Sizes of paper (width, height) in mm, upright."""
 _KNOWN = {name.lower(): size for name, size in PAPERS.items()}
 
-MM_PER_INCH = 25.4
-"""By definition."""
+MM_PER_INCH = 25.4  # by definition
 
 
 @dataclass(frozen=True)
 class SheetLayout:
     """Sizes on a printed sheet, all chosen."""
 
-    margin_mm: float = 6.0
-    """Margin of the paper that printers cannot print on."""
-    legend_mm: float = 17.0
-    """Height of ruler and text together, above the margin."""
-    ruler_mm: float = 100.0
-    """Length of the ruler."""
-    mark_mm: float = 3.0
-    """Length of a cutting mark, and its distance from the board."""
-    letter_mm: float = 2.0
-    """Height of a capital letter."""
-    letter_advance: float = 0.9
-    """Mean width of a letter with some reserve, in heights of a capital."""
-    max_name_letters: int = 40
-    """Letters of a board's name that are printed."""
+    margin_mm: float = 6.0  # margin of the paper that printers cannot print on
+    legend_mm: float = 17.0  # height of ruler and text together, above the margin
+    ruler_mm: float = 100.0  # length of the ruler
+    mark_mm: float = 3.0  # length of a cutting mark, and its distance from the board
+    letter_mm: float = 2.0  # height of a capital letter
+    letter_advance: float = 0.9  # mean width of a letter with some reserve, in heights of a capital
+    max_name_letters: int = 40  # letters of a board's name that are printed
 
 
 LAYOUT = SheetLayout()
@@ -65,7 +57,6 @@ class PrintedSheet:
 
 
 def paper_size(name: str) -> tuple[float, float]:
-    """Look up a paper size."""
     # returns (width, height) mm
     if name.lower() in _KNOWN:
         return _KNOWN[name.lower()]

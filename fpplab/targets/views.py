@@ -31,7 +31,6 @@ class Detection:
 
 
 def whole_board(pixels: NDArray[Any]) -> Detection:
-    """Give the points of a whole board their ids."""
     # pixels (u, v) px
     flat = np.asarray(pixels, np.float64).reshape(-1, 2)
     return Detection(np.arange(len(flat)), flat)
@@ -48,14 +47,12 @@ def homography(board: HasPoints, detection: Detection) -> Floats:
 
 
 def apply_homography(matrix: Floats, points: Floats) -> Floats:
-    """Map points by a homography."""
     # matrix (3, 3); points (..., 2); returns (..., 2)
     mapped = points @ matrix[:, :2].T + matrix[:, 2]
     return np.asarray(mapped[..., :2] / mapped[..., 2:])
 
 
 def local_frames(matrix: Floats, points: Floats) -> Floats:
-    """Compute the Jacobian of a homography at each point."""
     # matrix (3, 3); points (K, 2) mm; returns (K, 2, 2) px
     mapped = points @ matrix[:, :2].T + matrix[:, 2]
     pixels = mapped[:, :2] / mapped[:, 2:]

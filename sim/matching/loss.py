@@ -3,9 +3,7 @@
 `ε_d = ε_r - ε_v` is the RMS reprojection error of the reference's characterisation less that of the twin's.
 The SSIM is the standard one with levels from 0 to full scale.
 
-References
-----------
-Wang et al., "Image quality assessment", 2004
+Source: Wang et al., "Image quality assessment", 2004.
 """
 
 from __future__ import annotations

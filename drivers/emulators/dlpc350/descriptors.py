@@ -4,9 +4,7 @@ Documented are vendor and product, that several HID interfaces may show of which
 its endpoints 0x01 and 0x81 of 64 bytes. All else is assumed, until `lsusb -v` of a board replaces it: a
 second interface with endpoints of its own, full speed, names, version numbers and report descriptors.
 
-References
-----------
-USB 2.0, chapter 9; HID 1.11, sections 6.2 and 7.
+Source: USB 2.0, chapter 9; HID 1.11, sections 6.2 and 7.
 """
 
 from __future__ import annotations

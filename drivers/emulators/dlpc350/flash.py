@@ -2,9 +2,7 @@
 
 The reader shares no code with the builder of flash images in the driver, so that each verifies the other.
 
-References
-----------
-Layout as TI's client reads it.
+Source: Layout as TI's client reads it.
 """
 
 from __future__ import annotations

@@ -4,9 +4,7 @@ The kernel's module vhci-hcd takes one end of a socket pair in place of a cable,
 requests of its drivers. To every program the projector is then an ordinary USB device; only its descriptors
 are assumptions (see `descriptors`).
 
-References
-----------
-Linux, Documentation/usb/usbip_protocol.rst and drivers/usb/usbip/vhci_sysfs.c.
+Source: Linux, Documentation/usb/usbip_protocol.rst and drivers/usb/usbip/vhci_sysfs.c.
 """
 
 from __future__ import annotations

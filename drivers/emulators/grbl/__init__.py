@@ -7,9 +7,7 @@ choice.
 
 It serves to test drivers and is no evidence of how a real stage behaves.
 
-References
-----------
-GRBL 1.1, github.com/gnea/grbl
+Source: GRBL 1.1, github.com/gnea/grbl.
 """
 
 from __future__ import annotations

@@ -48,7 +48,6 @@ class WrongPlanLimits(LimitsSection):
 
 
 def _find(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Finding]:
-    """A plan that is not that of the images."""
     # A coordinate that runs against the calibration is always noticed. Other plans are tried where it does,
     # where the sets contradict each other, or where few pixels become points.
     recording, decoded, calibration = evidence.recording, evidence.decoded, evidence.calibration

@@ -12,8 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 
-NEGLIGIBLE = 1e-9
-"""Stripe counts that differ by less are the same (chosen: more than rounding)."""
+NEGLIGIBLE = 1e-9  # stripe counts that differ by less are the same (chosen: more than rounding)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ class Guided(UnwrappingMethod):
     guided = True
 
     def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
-        """Give the sets, and all their differences that are coarser."""
         coarser = [d for d in wavelength_differences(sets) if d.stripes < sets[0].stripes - NEGLIGIBLE]
         return [*distinct_wavelengths(coarser), *sets]
 

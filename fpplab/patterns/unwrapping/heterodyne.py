@@ -21,7 +21,6 @@ class Heterodyne(UnwrappingMethod):
     name = "heterodyne"
 
     def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
-        """Give the sets and their beats."""
         # Beats of sets that are no neighbours are finer, and so nearer to the coarsest set.
         combined, level = [*sets, *wavelength_differences(sets)], list(sets)
         while level and min(w.stripes for w in level) > 1 + NEGLIGIBLE:

@@ -14,7 +14,6 @@ class Hierarchical(UnwrappingMethod):
     name = "hierarchical"
 
     def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
-        """Give the sets as they are."""
         return list(sets)
 
     def advice(self, stripes: Sequence[float], coarsest: float, max_stripes: float) -> str:

@@ -27,8 +27,7 @@ def _listed() -> dict[str, type[BoardLayout]]:
     return layouts
 
 
-KINDS: dict[str, type[BoardLayout]] = _listed()
-"""The layout of each kind of board, by name."""
+KINDS: dict[str, type[BoardLayout]] = _listed()  # the layout of each kind of board, by name
 
 OWN_FIELDS: dict[str, dict[str, type[BoardLayout]]] = {}
 """The fields that only some kinds have, each with the layouts that have it by the name of the kind."""

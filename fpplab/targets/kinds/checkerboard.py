@@ -39,7 +39,6 @@ class Checkerboard(SquareLayout):
         return f"checkerboard of {columns} x {rows} inner corners, squares of {self.spacing_mm[0]:g} mm"
 
     def point_model(self) -> PointModel:
-        """Return the model of a corner."""
         return crossing_edges(0.8 * 0.5 * self.spacing_mm[0])
 
     def polarity(self, row: int, column: int) -> int:
@@ -48,7 +47,6 @@ class Checkerboard(SquareLayout):
         return sign if (row + column) % 2 == 0 else -sign
 
     def find(self, grey: NDArray[np.uint8], level: Floats) -> Detection | None:
-        """Find the whole board."""
         # grey (height, width)
         pixels = self._corners(grey)
         if pixels is None:

@@ -4,9 +4,7 @@ The sensor's noise is what the phase fit leaves of the frames beyond harmonics a
 (`fpplab.phase.error_model`), so that nothing which the twin lacks is taken for noise. It is estimated equally
 from frames of the bench and of the twin, and the twin's is scaled.
 
-References
-----------
-Janesick, Photon Transfer, 2007
+Source: Janesick, Photon Transfer, 2007.
 """
 
 from __future__ import annotations

@@ -6,9 +6,7 @@ by these four with the level itself. (Those of a twin that has none are found by
 rendered with board and projector image slightly shifted.) The derivatives of the four by every parameter are
 plain geometry (`surface_points`): Gauss-Newton on image residuals, as in image alignment.
 
-References
-----------
-Baker and Matthews, "Lucas-Kanade 20 years on", 2004
+Source: Baker and Matthews, "Lucas-Kanade 20 years on", 2004.
 """
 
 from __future__ import annotations
