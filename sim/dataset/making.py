@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fpplab.acquisition.acquire import expose
 from fpplab.core import config
-from fpplab.core.conventions import Image
+from fpplab.core.conventions import Image, axis_length, phase_of_coordinate
 from fpplab.core.disk_space import disk_bytes, need_space
 from fpplab.core.errors import ConfigError
 from fpplab.core.progress import Progress, no_progress
@@ -18,18 +20,57 @@ from fpplab.devices.backends import load_backend
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.phase import check_unwrapping
+from fpplab.patterns.recording import Recording
+from fpplab.phase import check_unwrapping, decode, wrapped_phase
 from sim.bench import VirtualBench
-from sim.dataset.arrays import sample_arrays
 from sim.dataset.card import dataset_fields, make_card, prepare_folder, split_of
-from sim.dataset.fields import Arrays, dimension_sizes
-from sim.dataset.labels import trace_labels
+from sim.dataset.fields import FRAMES, Arrays, dimension_sizes
+from sim.dataset.labels import Labels, trace_labels
 from sim.dataset.scenes import SceneRanges, draw_scene, draw_stage
 from sim.dataset.shard import ShardWriter, check_shard, claim_shard, draft_name, shard_name
-from sim.studio import DatasetScene
+from sim.studio import DatasetScene, SceneTruth
 
 SampleObserver = Callable[[Arrays, dict[str, Any]], object]
 """Called with the arrays and the record of each sample once it is written."""
+
+
+def sample_arrays(
+    frames: list[Image], plan: Plan, exposure_s: float, bits: int, truth: SceneTruth, labels: Labels
+) -> Arrays:
+    """Compute every field of a sample, as `FIELDS` describes them."""
+    # frames (height, width)
+    devices = truth.calibration
+    size = devices.projector.size
+    recording = Recording(frames, plan, size, bits)
+    decoded = decode(recording)
+    wrapped = [
+        wrapped_phase(recording.of_set(index), fringe).phase for index, fringe in enumerate(plan.fringes)
+    ]
+    coordinates = {"x": labels.u, "y": labels.v}
+    absolute = [
+        phase_of_coordinate(coordinates[f.axis].astype(np.float64), f.stripes, axis_length(size, f.axis))
+        for f in plan.fringes
+    ]
+    return {
+        FRAMES: np.stack(frames),
+        "exposure_s": np.array(exposure_s),
+        "wrapped_phase": np.stack(wrapped),
+        "decoded_u": decoded.u,
+        "decoded_v": decoded.v,
+        "decoded_sigma": decoded.sigma,
+        "modulation": decoded.modulation,
+        "absolute_phase": np.stack(absolute).astype(np.float32),
+        "projector_u": labels.u,
+        "projector_v": labels.v,
+        "depth": labels.depth,
+        "normals": labels.normals,
+        "mask": labels.mask,
+        "camera_matrix": devices.camera.matrix,
+        "camera_distortion": devices.camera.distortion,
+        "projector_matrix": devices.projector.matrix,
+        "projector_distortion": devices.projector.distortion,
+        "T_projector_camera": devices.T_projector_camera.matrix,
+    }
 
 
 def _unobserved(arrays: Arrays, record: dict[str, Any]) -> None:

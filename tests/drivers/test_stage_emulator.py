@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.emulators.grbl import GrblController, GrblPolicy, GrblState, Rail
+from drivers.emulators.grbl.drive import Brake, Ramp
 from drivers.emulators.grbl.gcode import Modes
-from drivers.emulators.grbl.ramps import Brake, Ramp
 
 POSITIVE = st.floats(0.01, 500.0)
 
