@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from fpplab.calibration.model import Calibration
+from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
 
@@ -66,3 +67,13 @@ def changes_by_part(calibration: Calibration) -> dict[str, dict[str, Calibration
             of_device[name] = _with_lens(calibration, device, 1.0, PICTURE_PX * direction)
         parts[f"{device}'s lens or picture changed"] = of_device
     return parts
+
+
+def kinds_by_part(calibration: Calibration, names: Sequence[str]) -> dict[str, Floats]:
+    """Compute by how much each kind of change of a part changes some parameters."""
+    # names of n parameters; returns (n, kinds) by part
+    stated, rows = parameter_vector(calibration), [PARAMETERS.index(name) for name in names]
+    return {
+        part: np.stack([parameter_vector(rig) - stated for rig in rigs.values()], axis=1)[rows]
+        for part, rigs in changes_by_part(calibration).items()
+    }

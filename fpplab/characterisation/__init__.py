@@ -1,5 +1,6 @@
 """Characterisation: calibrate a camera, a projector and the pose between them from poses of a board."""
 
+from fpplab.characterisation.combination import Combination, combine
 from fpplab.characterisation.correction import Correction, correct
 from fpplab.characterisation.fitting import characterise
 from fpplab.characterisation.judging import Judgement, judge, judged_board
@@ -9,6 +10,7 @@ from fpplab.characterisation.result import Characterisation, ModelTrial, Rejecte
 
 __all__ = [
     "Characterisation",
+    "Combination",
     "Correction",
     "DistortionModel",
     "Judgement",
@@ -16,6 +18,7 @@ __all__ = [
     "Observation",
     "Rejected",
     "characterise",
+    "combine",
     "correct",
     "finest_periods",
     "judge",

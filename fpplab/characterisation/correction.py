@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from fpplab.calibration.changes import changes_by_part, parameter_vector
-from fpplab.calibration.model import PARAMETERS, Calibration, Uncertainty
+from fpplab.calibration.changes import changes_by_part, kinds_by_part
+from fpplab.calibration.model import Calibration, Uncertainty
 from fpplab.characterisation.judging import CalibrationAsFitted, Judgement, judge
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import parameter_names
@@ -84,7 +84,8 @@ def correct(
     spread = [fit.change - (mean - stated) for fit in fits]
     each = [fit.covariance + np.outer(off, off) for fit, off in zip(fits, spread, strict=True)]
     covariance = np.average(each, axis=0, weights=weights)
-    corrected = _with_parameters(calibration, known.with_parameters(mean), covariance)
+    at = known.with_parameters(mean)
+    corrected = with_parameters(calibration, at, covariance + np.outer(at.longer, at.longer))
     after = judge(corrected, observations, left_out, source)
     if after.contradicted:
         raise CalibrationError(
@@ -99,26 +100,24 @@ def correct(
 
 def _hypotheses(calibration: Calibration, known: CalibrationAsFitted) -> list[tuple[tuple[str, ...], Floats]]:
     """List what may have changed, with the changes (n, kinds) of the parameters that it means."""
-    places = [PARAMETERS.index(name) for name in parameter_names(known.level)]
-    stated, parts = parameter_vector(calibration), changes_by_part(calibration)
-    hypotheses: list[tuple[tuple[str, ...], Floats]] = [((), np.zeros((len(places), 0)))]
+    names_of_parameters = parameter_names(known.level)
+    parts = kinds_by_part(calibration, names_of_parameters)
+    hypotheses: list[tuple[tuple[str, ...], Floats]] = [((), np.zeros((len(names_of_parameters), 0)))]
     for count in range(1, len(parts) + 1):
         for names in combinations(parts, count):
-            changed = [parameter_vector(rig) for name in names for rig in parts[name].values()]
-            kinds = (np.stack(changed, axis=1) - stated[:, None])[places]
+            kinds = np.hstack([parts[name] for name in names])
             hypotheses += [(names, factor * kinds) for factor in PRIOR_FACTORS]
     return hypotheses
 
 
-def _with_parameters(calibration: Calibration, known: CalibrationAsFitted, covariance: Floats) -> Calibration:
+def with_parameters(calibration: Calibration, known: CalibrationAsFitted, covariance: Floats) -> Calibration:
+    """Replace a calibration's parameters and their covariance, the board's scale included."""
     devices, pair = known.devices, known.devices.T_projector_camera
     camera, projector = (
         Pinhole(old.size, matrix_of(lens), lens[4:], old.lattice)
         for old, lens in ((calibration.camera, devices.camera), (calibration.projector, devices.projector))
     )
-    longer = known.longer
-    whole = covariance + np.outer(longer, longer)
-    uncertainty = Uncertainty(parameter_names(known.level), 0.5 * (whole + whole.T))
+    uncertainty = Uncertainty(parameter_names(known.level), 0.5 * (covariance + covariance.T))
     return replace(
         calibration,
         camera=camera,

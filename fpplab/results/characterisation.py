@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fpplab.characterisation import Characterisation, Correction, Judgement
+from fpplab.characterisation import Characterisation, Combination, Correction, Judgement
 from fpplab.diagnosis import Diagnosis
 from fpplab.results.provenance import Provenance
 from fpplab.setup.guide import GuidedRun
@@ -74,4 +74,21 @@ class CorrectionResult:
             "provenance": self.provenance.summary(),
             "calibration": str(self.calibration_file),
             "report": str(self.report_file),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class CombinationResult:
+    """The mean of several calibrations of one rig, with what varies between them."""
+
+    combination: Combination
+    combined: tuple[Path, ...]
+    calibration_file: Path
+
+    def summary(self) -> dict[str, Any]:
+        """Collect what `fpplab characterise --combine --json` prints."""
+        return {
+            **self.combination.summary(),
+            "combined": [str(path) for path in self.combined],
+            "calibration": str(self.calibration_file),
         }

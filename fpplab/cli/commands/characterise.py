@@ -29,7 +29,7 @@ from fpplab.core.lattice import Lattice
 from fpplab.core.units import length_mm
 
 if TYPE_CHECKING:
-    from fpplab.characterisation import Correction, Judgement
+    from fpplab.characterisation import Combination, Correction, Judgement
     from fpplab.characterisation.point_lists import PointListSource
     from fpplab.core.depth import DepthInterval
 
@@ -103,6 +103,10 @@ def characterise_command(
             "--correct", help="Calibration to correct by the sessions, one to three poses of its board."
         ),
     ] = None,
+    combined: Annotated[
+        bool,
+        typer.Option("--combine", help="Combine the calibrations given instead of sessions, all of one rig."),
+    ] = False,
     confirm: Annotated[
         bool,
         typer.Option("--confirm", help="With --judge: record in the calibration that the poses confirm it."),
@@ -156,18 +160,25 @@ def characterise_command(
     moved, refocused or its picture shifted: `probabilities` says what has changed, `untold` what more poses
     would tell. Where no such change explains the poses, the exit code is 5: characterise again.
 
+    With `--combine` several calibrations of one rig become their mean, whose uncertainty contains by how much
+    the rig varies between them; `varying` lists the parameters and lengths that vary more than stated.
+
     Examples: `fpplab characterise poses/ --target target_paper --out calibration.yaml`;
     `fpplab characterise --rig rig_demo --target target_paper --out calibration.yaml`;
     `fpplab characterise --rig my_rig --target target_paper --guide --until 20um --out calibration.yaml`;
     `fpplab characterise --points corners.csv --target target_paper --camera-size 1920 1200
     --projector-size 912 1140 --lattice diamond --out calibration.yaml`;
     `fpplab characterise --judge calibration.yaml later_poses/`;
-    `fpplab characterise --correct calibration.yaml new_pose/ --out corrected.yaml`
+    `fpplab characterise --correct calibration.yaml new_pose/ --out corrected.yaml`;
+    `fpplab characterise --combine monday.yaml tuesday.yaml friday.yaml --out week.yaml`
     """
     recorded = tuple(sessions or ())
     unused = {"--rig": rig, "--target": target, "--points": points}
     if corrected and judged:
         raise ConfigError("--correct and --judge exclude each other; judge first")
+    if combined:
+        _combine(recorded, out, force, json, {**unused, "--judge": judged, "--correct": corrected})
+        return
     if corrected:
         _correct(corrected, recorded, out, force, json, unused)
         return
@@ -271,10 +282,39 @@ def _correct(
     console.print_result(result.summary(), json, lambda: _show_correction(result.correction))
 
 
-def _refuse_unused(option: str, unused: Mapping[str, object]) -> None:
+def _combine(
+    calibrations: tuple[Path, ...],
+    out: Path | None,
+    force: bool,
+    json: bool,
+    unused: Mapping[str, object],
+) -> None:
+    """Combine calibrations of one rig."""
+    from fpplab.workflows.combine import CombinationRequest, run_combination
+
+    _refuse_unused("--combine", unused, "calibrations")
+    if out is None:
+        raise ConfigError("--combine needs --out, where the combined calibration goes")
+    result = run_combination(CombinationRequest(calibrations, out, force), ConsoleObserver())
+    console.print_result(result.summary(), json, lambda: _show_combination(result.combination))
+
+
+def _show_combination(combination: Combination) -> None:
+    rows = [
+        [f"{name} {q.unit}", *(f"{x:.3g}" for x in (q.stated, q.scatter, q.between, q.combined))]
+        + ["varies" if q.exceeds else ""]
+        for name, q in combination.quantities.items()
+    ]
+    columns = ["quantity", "stated", "scatter", "between", "combined", ""]
+    console.table("Standard deviations", columns, rows)
+
+
+def _refuse_unused(
+    option: str, unused: Mapping[str, object], taken: str = "recorded sessions of its board"
+) -> None:
     for name, value in unused.items():
         if value is not None:
-            raise ConfigError(f"{name} does not go with {option}, which takes recorded sessions of its board")
+            raise ConfigError(f"{name} does not go with {option}, which takes {taken}")
 
 
 def _show_correction(correction: Correction) -> None:
