@@ -28,6 +28,8 @@ class FittedErrors(Document):
     """Of each smooth function over the board that the errors of one pose share in the camera, in px."""
     projector_shared_px: Size = 0.0
     """The same in the projector."""
+    poses: Annotated[int, Field(ge=2)] | None = None
+    """How many poses `camera_shared_px` and `projector_shared_px` come from; None where that is unknown."""
     carried: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Share of the detection error in the camera's image that is carried into the projector's reading."""
     scale: Annotated[float, Field(ge=0, le=0.1)] = 0.0

@@ -28,6 +28,7 @@ def calibration_of(
         projector_px=sizes.projector_px,
         camera_shared_px=sizes.camera_shared_px,
         projector_shared_px=sizes.projector_shared_px,
+        poses=len(solution.poses),
         carried=solution.carried,
         scale=model.scale_tolerance,
     )

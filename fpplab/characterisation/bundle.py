@@ -134,11 +134,16 @@ def estimate_uncertainty(
         effects.passed[shared] * np.array([sizes.camera_shared_px, sizes.projector_shared_px])[effects.device]
     )
     covariance = inverse[shared, shared] + passed @ passed.T
-    # All lengths grow with the board's, and no image changes.
-    longer = np.zeros(len(covariance))
-    longer[-3:] = model.scale_tolerance * best.T_projector_camera[3:]
+    longer = scale_error(best, model)
     covariance = covariance + np.outer(longer, longer)
     return Uncertainty(parameter_names(model.level), 0.5 * (covariance + covariance.T))
+
+
+def scale_error(best: Solution, model: Model) -> Floats:
+    """Compute how an error of the board's scale changes the parameters: lengths grow, no image changes."""
+    # returns (n,)
+    lenses = np.zeros(2 * len(model.level.terms) + 3)
+    return np.append(lenses, model.scale_tolerance * best.T_projector_camera[3:])
 
 
 def motions_in_poses(

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from fpplab.calibration.board import FittedBoard
+from fpplab.calibration.board import FittedBoard, FittedErrors
 from fpplab.calibration.changes import kinds_by_part
+from fpplab.calibration.error_modes import independent_modes
 from fpplab.calibration.model import INTRINSICS, POSE, Calibration, CalibrationOrigin
 from fpplab.characterisation.correction import with_parameters
 from fpplab.characterisation.displacement import moved_points
@@ -162,10 +163,17 @@ def _factor(known: CalibrationAsFitted, with_scale: bool) -> Floats:
 
 def _common_board(boards: Sequence[FittedBoard]) -> FittedBoard:
     """The board's mean shape, with root mean square errors."""
-    errors = [board.errors.model_dump() for board in boards]
-    merged = {name: float(np.sqrt(np.mean([e[name] ** 2 for e in errors]))) for name in errors[0]}
+    errors = [board.errors for board in boards]
+    poses = [e.poses for e in errors if e.poses is not None]
+    sizes = {
+        name: float(np.sqrt(np.mean([getattr(e, name) ** 2 for e in errors])))
+        for name in FittedErrors.model_fields
+        if name != "poses"
+    }
+    freedom = sum(poses) - len(poses) if len(poses) == len(errors) else None
     points = np.mean([board.points for board in boards], axis=0)
-    return replace(boards[0], points=points, errors=type(boards[0].errors)(**merged))
+    merged = FittedErrors.model_validate({**sizes, "poses": freedom and freedom + 1})
+    return replace(boards[0], points=points, errors=merged)
 
 
 def _origin(calibrations: Sequence[Calibration]) -> CalibrationOrigin:
@@ -194,7 +202,7 @@ class _Grid:
     def of(cls, values: Floats, factors: Floats, parts: dict[str, Floats]) -> _Grid:
         # values (K, n); factors (K, n, m) of the stated covariances; parts (n, kinds)
         # By square roots: what varies is up to 1e5 times what is stated, and its square loses all digits.
-        modes, inverse = _modes(np.mean(factors @ np.swapaxes(factors, 1, 2), axis=0))
+        modes, inverse = independent_modes(np.mean(factors @ np.swapaxes(factors, 1, 2), axis=0))
         stated, kinds = inverse @ factors, [inverse @ own for own in parts.values()]
         varied = np.array(list(product(VARIATIONS, repeat=len(parts))))
         added = np.concatenate(
@@ -243,14 +251,6 @@ class _Grid:
         return mean, of_mean + between, between
 
 
-def _modes(covariance: Floats) -> tuple[Floats, Floats]:
-    """Independent modes (n, n) of unit variance, and their inverse."""
-    scale = np.sqrt(np.diag(covariance))
-    variances, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
-    sizes = np.sqrt(np.maximum(variances, 1e-12 * variances[-1]))  # chosen near rounding, as in `chi_square`
-    return scale[:, None] * directions * sizes, directions.T / scale / sizes[:, None]
-
-
 def _quantities(
     calibration: Calibration, at: CalibrationAsFitted, names: Sequence[str]
 ) -> dict[str, tuple[str, Floats]]:
@@ -297,7 +297,7 @@ def _seen_places(calibration: Calibration) -> Floats | None:
         return None
     ends = [most[pick(most[:, axis])] for axis in (0, 1) for pick in (np.argmin, np.argmax)]
     middle = most[np.argmin(np.sum((most - most.mean(axis=0)) ** 2, axis=1))]
-    return np.stack([*ends, 0.95 * middle, 1.05 * middle])
+    return np.asarray(np.stack([*ends, 0.95 * middle, 1.05 * middle]))
 
 
 def _varying(

@@ -11,8 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
+import numpy as np
+from scipy.stats import norm, t
 from threadpoolctl import threadpool_limits
 
+from fpplab.calibration.model import Uncertainty
 from fpplab.characterisation import coverage, outliers
 from fpplab.characterisation.assembly import calibration_of
 from fpplab.characterisation.board_diagnosis import find_description_error
@@ -22,6 +25,7 @@ from fpplab.characterisation.bundle import (
     fit_pose,
     fits_without_each_pose,
     motions_in_poses,
+    scale_error,
 )
 from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
@@ -32,10 +36,11 @@ from fpplab.characterisation.parameters import (
     ImageSize,
     Model,
     Solution,
+    parameter_names,
 )
 from fpplab.characterisation.problem import without_poses
 from fpplab.characterisation.result import Characterisation, ModelTrial, Rejected
-from fpplab.characterisation.validation import compare_with_fewer_poses
+from fpplab.characterisation.validation import Validation, compare_with_fewer_poses
 from fpplab.characterisation.zhang import (
     calibrate_separately,
     check_not_mirrored,
@@ -59,6 +64,12 @@ UNJUDGED = (
     "take more poses"
 )
 """Warning when there are too few poses to compare the levels by."""
+
+REFIT_ROUNDS = 3
+"""Most iterations of the errors' sizes in fits without a pose. Chosen: they start from those of all poses."""
+
+CERTAIN = 0.975
+"""Probability at which Student's t widens the uncertainty of three poses: 95 % intervals are right."""
 
 Fit = tuple[Solution, ErrorSizes]
 """What `adjust_bundle` returns."""
@@ -117,8 +128,8 @@ def _characterise_fitted(
         level: _fit_at_level(kept, fit, model, level, without)
         for level in _candidates(chosen, compares_levels and not has_few_poses)
     }
-    covariance = estimate_uncertainty(kept, solution, model, sizes)
     proof = compare_with_fewer_poses(kept, solution, model, sizes, without) if without else None
+    covariance = _stated_uncertainty(kept, fit, model, proof)
     cameras, projectors = zip(*(solution.residuals(i, o) for i, o in enumerate(kept)), strict=True)
     calibration = calibration_of(target, lattice, solution, sizes, model, tried[chosen].fitted_px, covariance)
     poses = tuple(transform(p) for p in solution.poses)
@@ -271,11 +282,27 @@ def _without_each_pose(observations: Sequence[Observation], fit: Fit, model: Mod
     """Fit all poses but one, for each in turn; nothing where too few would remain."""
     if len(observations) <= MIN_POSES:
         return []
+    quick = replace(model, settings=replace(model.settings, max_rounds=REFIT_ROUNDS))
     solutions = []
     for held, first in enumerate(fits_without_each_pose(observations, fit[0], model, fit[1])):
         others = [o for i, o in enumerate(observations) if i != held]
-        solutions.append(adjust_bundle(others, without_poses(first, held), model, fit[1])[0])
+        solutions.append(adjust_bundle(others, without_poses(first, held), quick, first=fit[1])[0])
     return solutions
+
+
+def _stated_uncertainty(
+    observations: Sequence[Observation], fit: Fit, model: Model, proof: Validation | None
+) -> Uncertainty:
+    """State the uncertainty by the errors' sizes, widened by the jackknife, or without one by Student's t.
+
+    The size of what poses share comes from one pose less than there are.
+    """
+    if proof is not None:
+        longer = scale_error(fit[0], model)
+        return Uncertainty(parameter_names(model.level), proof.covariance + np.outer(longer, longer))
+    wider = t.ppf(CERTAIN, len(observations) - 1) / norm.ppf(CERTAIN)
+    shared = {name: wider * getattr(fit[1], name) for name in ("camera_shared_px", "projector_shared_px")}
+    return estimate_uncertainty(observations, fit[0], model, replace(fit[1], **shared))
 
 
 def _held_out(observation: Observation, near: Solution, start: Floats) -> Residuals:

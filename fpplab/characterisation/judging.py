@@ -3,7 +3,9 @@
 Only the pose of the board is fitted to each capture. What is left should be no more than noise, what the
 errors of one pose share, and the uncertainty of the devices, less what the pose takes up. The square sum of a
 device's residuals then follows a sum of weighted χ², here approximated by one χ² of the same mean and
-variance (F. E. Satterthwaite, "An approximate distribution of estimates of variance components", 1946).
+variance (F. E. Satterthwaite, "An approximate distribution of estimates of variance components", 1946). The
+size of what the errors of one pose share is itself known from few poses, as the variance of as many normal
+values, less one: the probability is averaged over it, as Student's t does for a single value.
 
 The uncertainty of the devices that `fpplab.characterisation.bundle.uncertainty` gives holds with the board as
 it was found, so that the board's own does not count again; with four poses the prediction is 4 % too small
@@ -135,9 +137,10 @@ def judge(
     rejectable = rejectable_points(observations)
     kept, rejected = reject_points(observations, replace(judged.devices, poses=poses), rejectable)
     predictions = [_prediction(judged, o) for o in kept]
-    camera, projector = (_errors_of_device(predictions, d) for d in (0, 1))
+    scales = _scales_of_effects(judged.errors.poses)
+    camera, projector = (_errors_of_device(predictions, d, scales) for d in (0, 1))
     return Judgement(
-        tuple(_judged_pose(prediction) for prediction in predictions),
+        tuple(_judged_pose(prediction, scales) for prediction in predictions),
         camera,
         projector,
         tuple(rejected),
@@ -240,7 +243,8 @@ class _Prediction:
 
     name: str
     residuals: Floats  # (2, 2 K) px
-    own: Floats  # (2, 2 K, E), of errors of this pose
+    noise: Floats  # (2, 2 K, 4 K), of errors of single points
+    effects: Floats  # (2, 2 K, E), of errors that the points of this pose share
     common: Floats  # (2, 2 K, n), of errors of the devices
 
 
@@ -256,24 +260,50 @@ def _prediction(judged: CalibrationAsFitted, observation: Observation) -> _Predi
     remaining = problem.unwhitened(0, every - fitted @ (fitted.T @ every), at.carried)
     of_device = remaining.reshape(2, rows // 2, -1)
     residuals = np.stack([part.ravel() for part in at.residuals(0, observation)])
-    return _Prediction(observation.name, residuals, of_device[..., :-n], of_device[..., -n:])
+    parts = np.split(of_device, [rows, of_device.shape[-1] - n], axis=-1)
+    return _Prediction(observation.name, residuals, *parts)
 
 
-def _judged_pose(prediction: _Prediction) -> JudgedPose:
-    camera, projector = (_errors_of_device([prediction], d) for d in (0, 1))
+def _scales_of_effects(poses: int | None) -> tuple[Floats, Floats]:
+    """Ratios (S,) of true to estimated variance of effects of poses, and their probabilities."""
+    if poses is None:
+        return np.ones(1), np.ones(1)
+    freedom = poses - 1
+    least, most = chi2.ppf([1e-9, 1.0 - 1e-9], freedom)  # chances far below any limit
+    values = np.geomspace(least, most, 200)
+    chances = chi2.pdf(values, freedom) * values
+    return freedom / values, chances / chances.sum()
+
+
+def _judged_pose(prediction: _Prediction, scales: tuple[Floats, Floats]) -> JudgedPose:
+    camera, projector = (_errors_of_device([prediction], d, scales) for d in (0, 1))
     return JudgedPose(prediction.name, prediction.residuals.shape[1] // 2, camera, projector)
 
 
-def _errors_of_device(predictions: Sequence[_Prediction], device: int) -> Errors:
+def _errors_of_device(
+    predictions: Sequence[_Prediction], device: int, scales: tuple[Floats, Floats]
+) -> Errors:
     """Errors of one device in some poses, which share those of the devices."""
     residuals = [prediction.residuals[device].reshape(-1, 2) for prediction in predictions]
-    parts = [(prediction.own[device], prediction.common[device]) for prediction in predictions]
-    mean = sum(float(np.sum(own**2) + np.sum(common**2)) for own, common in parts)
-    # tr C² of the covariance C = diag(own ownᵀ) + common commonᵀ.
-    square = sum(np.sum((own.T @ own) ** 2) + 2.0 * np.sum((own.T @ common) ** 2) for own, common in parts)
-    square += np.sum(sum(common.T @ common for _, common in parts) ** 2)
-    freedom = mean**2 / float(square)
-    total, points = float(sum(np.sum(r**2) for r in residuals)), sum(len(r) for r in residuals)
-    return Errors(
-        rms(residuals), float(np.sqrt(mean / points)), float(chi2.sf(freedom * total / mean, freedom))
+    parts = [(p.noise[device], p.effects[device], p.common[device]) for p in predictions]
+    # Coefficients by powers of the scale s of the trace of C, and of tr C², for the covariance
+    # C = diag(noise noiseᵀ + s effects effectsᵀ) + common commonᵀ.
+    mean = np.sum([[np.sum(n**2) + np.sum(c**2), np.sum(e**2)] for n, e, c in parts], axis=0)
+    square = np.sum(
+        [
+            [
+                np.sum((n.T @ n) ** 2) + 2.0 * np.sum((n.T @ c) ** 2),
+                2.0 * np.sum((n.T @ e) ** 2) + 2.0 * np.sum((e.T @ c) ** 2),
+                np.sum((e.T @ e) ** 2),
+            ]
+            for n, e, c in parts
+        ],
+        axis=0,
     )
+    square[0] += np.sum(sum(c.T @ c for *_, c in parts) ** 2)
+    scale, chances = scales
+    expected = mean[0] + mean[1] * scale
+    freedom = expected**2 / (square[0] + square[1] * scale + square[2] * scale**2)
+    total, points = float(sum(np.sum(r**2) for r in residuals)), sum(len(r) for r in residuals)
+    chance = float(chances @ chi2.sf(freedom * total / expected, freedom))
+    return Errors(rms(residuals), float(np.sqrt(mean.sum() / points)), chance)

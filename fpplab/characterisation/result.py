@@ -119,6 +119,7 @@ def _repeats(repeats: tuple[Repeat, ...]) -> dict[str, dict[str, float | str]]:
     return {
         repeat.quantity: {
             "unit": repeat.unit,
+            "modelled": repeat.modelled,
             "stated": repeat.stated,
             "changed": repeat.changed,
             "predicted": repeat.predicted,

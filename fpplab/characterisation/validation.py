@@ -5,6 +5,13 @@ does) changes the result. How much it should change follows from the covariances
 of the data differs from the estimate from all by the difference of their covariances (J. Hausman,
 "Specification tests in econometrics", 1978), and two halves by the sum.
 
+Every refit starts from the whole fit, and estimates the sizes of the errors anew. The jackknife knows nothing
+of the errors' model, but with n poses it has n - 1 degrees of freedom for two dozen parameters, so that by
+chance alone it exceeds the covariance many times in some directions. Of modes in which the covariance is one,
+the eigenvalues then follow the distribution of Marchenko and Pastur. What exceeds the edge of that
+distribution is added to the covariance, less the part of it that is chance (D. Donoho, M. Gavish and
+I. Johnstone, "Optimal shrinkage of eigenvalues in the spiked covariance model", 2018, Frobenius norm).
+
 Besides focal lengths and baseline, the points that the devices measure are compared: by how much they are
 moved in space (place), and by how much their form changes, all rigid motion removed.
 """
@@ -17,6 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from fpplab.calibration.error_modes import independent_modes
 from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.characterisation.bundle import adjust_bundle, estimate_uncertainty
 from fpplab.characterisation.displacement import moved_points, without_motion
@@ -37,7 +45,8 @@ class Repeat:
 
     quantity: str  # such as `camera.fx`, `baseline`, `place` or `form`
     unit: str  # of all figures
-    stated: float  # standard uncertainty that the calibration states
+    modelled: float  # standard uncertainty by the sizes of the errors
+    stated: float  # that which the calibration states: `modelled`, and what the jackknife adds
     changed: float  # how much the quantity changes
     predicted: float  # the same, as the covariances predict it
     chance: float  # probability of changes as great as these if the prediction is right, about
@@ -52,6 +61,7 @@ class Repeat:
 class Validation:
     """The stated uncertainty, put to the test."""
 
+    covariance: Floats  # (n, n) of the devices with what the jackknife adds, without the board's scale
     jackknife: tuple[Repeat, ...]  # each pose left out in turn
     halves: tuple[Repeat, ...] = ()  # every other pose compared with the rest; empty with fewer than 8 poses
     max_chance: float = USUAL_LIMITS.max_chance  # probability below which an uncertainty is too small
@@ -60,8 +70,8 @@ class Validation:
     def warnings(self) -> tuple[str, ...]:
         """Sentences on uncertainties that are too small."""
         return tuple(
-            f"{how} changes the {_NAMES[repeat.quantity]} {repeat.ratio:.1f} times as much as predicted: its "
-            "true uncertainty is greater than stated; look for a pose in which something moved, or take more "
+            f"{how} changes the {_NAMES[repeat.quantity]} {repeat.ratio:.1f} times as much as predicted: the "
+            "sizes of the errors do not explain it; look for a pose in which something moved, or take more "
             "poses"
             for how, repeats in (("leaving poses out", self.jackknife), ("halving the poses", self.halves))
             for repeat in repeats
@@ -93,13 +103,28 @@ def compare_with_fewer_poses(
         spreads.append(_covariance((others, near, model, sizes)) - covariance)
     share = (count - 1) / count
     around = np.array(changes) - np.mean(changes, axis=0)
+    changed, predicted = share * around.T @ around, share * np.sum(spreads, axis=0)
+    stated = covariance + beyond_chance(covariance, changed, count - 1)
     jackknife = tuple(
-        _judge_repeated_fits(
-            quantity, covariance, share * around.T @ around, share * np.sum(spreads, axis=0), count - 1
-        )
+        _judge_repeated_fits(quantity, (covariance, stated), changed, predicted, count - 1)
         for quantity in quantities
     )
-    return Validation(jackknife, _repeat_with_halves(whole, quantities, covariance), model.limits.max_chance)
+    halves = _repeat_with_halves(whole, quantities, (covariance, stated))
+    return Validation(stated, jackknife, halves, model.limits.max_chance)
+
+
+def beyond_chance(covariance: Floats, repeated: Floats, freedom: int) -> Floats:
+    """Compute by how much a covariance estimated from few repeats exceeds another beyond chance."""
+    # covariance (n, n); repeated (n, n), with so many degrees of freedom; returns (n, n)
+    modes, inverse = independent_modes(covariance)
+    values, directions = np.linalg.eigh(inverse @ repeated @ inverse.T)
+    aspect = len(values) / freedom
+    clear = values > (1.0 + np.sqrt(aspect)) ** 2
+    seen, along = values[clear], modes @ directions[:, clear]
+    centred = seen + 1.0 - aspect
+    true = 0.5 * (centred + np.sqrt(centred**2 - 4.0 * seen)) - 1.0
+    cosine = (1.0 - aspect / true**2) / (1.0 + aspect / true)
+    return np.asarray((along * true * cosine) @ along.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,16 +148,18 @@ class _Quantity:
 
 
 def _judge_repeated_fits(
-    quantity: _Quantity, covariance: Floats, changed: Floats, predicted: Floats, repeats: int
+    quantity: _Quantity, both: tuple[Floats, Floats], changed: Floats, predicted: Floats, repeats: int
 ) -> Repeat:
+    # both (n, n): the covariance by the sizes of the errors, and that stated
     was, expected = quantity.size(changed), quantity.size(predicted)
     freedom = repeats * quantity.freedom(predicted)
     chance = float(chi2.sf(freedom * (was / expected) ** 2, freedom))
-    return Repeat(quantity.name, quantity.unit, quantity.size(covariance), was, expected, chance)
+    modelled, stated = map(quantity.size, both)
+    return Repeat(quantity.name, quantity.unit, modelled, stated, was, expected, chance)
 
 
 def _repeat_with_halves(
-    whole: _Fit, quantities: Sequence[_Quantity], covariance: Floats
+    whole: _Fit, quantities: Sequence[_Quantity], both: tuple[Floats, Floats]
 ) -> tuple[Repeat, ...]:
     observations, best, model, sizes = whole
     if len(observations) < 8:  # each half determines its own fit by four poses or more
@@ -147,7 +174,7 @@ def _repeat_with_halves(
         spread.append(_covariance((half, solution, model, sizes)))
     change = devices[1] - devices[0]
     return tuple(
-        _judge_repeated_fits(quantity, covariance, np.outer(change, change), spread[0] + spread[1], 1)
+        _judge_repeated_fits(quantity, both, np.outer(change, change), spread[0] + spread[1], 1)
         for quantity in quantities
     )
 

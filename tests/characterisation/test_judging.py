@@ -10,7 +10,8 @@ import pytest
 
 from fpplab.calibration.model import Calibration, Uncertainty
 from fpplab.characterisation import Characterisation, DistortionModel, Observation, characterise, judge
-from fpplab.characterisation.validation import compare_with_fewer_poses, projected_uncertainty
+from fpplab.characterisation.pose_effects import smooth_functions
+from fpplab.characterisation.validation import beyond_chance, compare_with_fewer_poses, projected_uncertainty
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 from tests.support.rigs import BOARD, CAMERA, PAIR, SQUARE, observed, poses
@@ -97,6 +98,33 @@ def test_what_a_calibration_does_not_say_is_named(
         judge(replace(found.calibration, **change), seen(2, 8), source="c.yaml")  # type: ignore[arg-type]
 
 
+@pytest.mark.whole
+@pytest.mark.parametrize("poses_known", [4, 12])
+def test_few_poses_say_little_of_what_the_next_pose_shares(found: Characterisation, poses_known: int) -> None:
+    """Drawn errors of which the stated size is as uncertain as from so many poses."""
+    random, true_px, chances = np.random.default_rng(poses_known), 0.1, list[float]()
+    known, smooth = found.calibration, smooth_functions(BOARD.points()[:, :2])
+    assert known.board is not None
+    board = replace(known.board, points=BENT)
+    for seed in range(60):
+        shared_px = true_px * float(np.sqrt(random.chisquare(poses_known - 1) / (poses_known - 1)))
+        errors = {"camera_px": NOISE_PX, "projector_px": NOISE_PX, "carried": 0.0, "poses": poses_known}
+        errors |= {"camera_shared_px": shared_px, "projector_shared_px": shared_px}
+        stated = replace(board, errors=board.errors.model_copy(update=errors))
+        truth = replace(known, camera=CAMERA, projector=SQUARE, T_projector_camera=PAIR, board=stated)
+        pose = seen(1, 100 + seed)[0]
+        off = smooth @ random.normal(0, true_px, (2, 6, 2))
+        pose = replace(pose, camera_px=pose.camera_px + off[0], projector_px=pose.projector_px + off[1])
+        told = judge(replace(truth, uncertainty=exact(known.uncertainty)), [pose])
+        chances += [told.camera.chance, told.projector.chance]
+    assert 0.01 <= np.mean(np.array(chances) < 0.05) <= 0.10
+
+
+def exact(uncertainty: Uncertainty | None) -> Uncertainty:
+    assert uncertainty is not None
+    return replace(uncertainty, covariance=1e-8 * uncertainty.covariance)
+
+
 def test_without_a_pose_there_is_no_judgement(found: Characterisation) -> None:
     with pytest.raises(CalibrationError, match=r"no pose to judge by .*too dark"):
         judge(found.calibration, [], {"pose_1": "pose_1: too dark"})
@@ -134,6 +162,22 @@ def test_an_uncertainty_that_is_too_small_is_named(found: Characterisation) -> N
     ]
     told = compare_with_fewer_poses(found.observations, solution, found.model, sizes, without)
     assert "leaving poses out changes the camera's focal length" in " ".join(told.warnings)
+
+
+def test_only_what_is_beyond_chance_widens_a_covariance() -> None:
+    """11 degrees of freedom for 24 parameters, with and without a direction of ten times the size."""
+    random, size = np.random.default_rng(3), 24
+    root = random.normal(size=(size, size)) * np.logspace(0, 3, size)[:, None]
+    covariance, odd = root @ root.T, root @ np.eye(size)[0]
+    added = {0.0: [], 10.0: []}
+    for sigma, found in added.items():
+        for _ in range(20):
+            seen = random.normal(size=(11, size)) @ root.T + sigma * random.normal(size=(11, 1)) * odd
+            found.append(beyond_chance(covariance, seen.T @ seen / 11, 11))
+    assert np.mean([np.trace(np.linalg.solve(covariance, one)) for one in added[0.0]]) < 1.0
+    along = np.linalg.solve(root, np.mean(added[10.0], axis=0)) @ np.linalg.inv(root).T
+    assert 0.6 * sigma**2 < along[0, 0] < 1.3 * sigma**2
+    assert np.abs(along[1:, 1:]).max() < 0.1 * along[0, 0]
 
 
 def test_the_projected_uncertainty_of_a_focal_length_grows_from_the_centre() -> None:

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation import Observation, characterise, finest_periods, observe
+from fpplab.characterisation import Observation, characterise, finest_periods, judge, observe
 from fpplab.core.conventions import Floats
 from fpplab.pipeline import decode_session
 from fpplab.reconstruction.points import triangulate
@@ -56,6 +56,7 @@ def test_five_poses_are_characterised(calibration: tuple[Path, dict]) -> None:  
     off = [w.split(":")[0] for w in found["warnings"] if "although the board stood still (0.0" in w]
     assert off == ["calseq1", "calseq2"], "their residuals across the epipolar lines have opposite means"
     assert len(found["warnings"]) == 1 + len(off)
+    assert all(0.7 < one["changed"] / one["stated"] < 1.5 for one in found["jackknife"].values())
 
 
 @pytest.mark.whole
@@ -82,10 +83,14 @@ def test_a_pose_left_out_is_measured_as_the_board(calibration: tuple[Path, dict]
     sessions, target = recorded_sessions([calibration[0].parent / "board"]), Target.load("target_slstudio")
     observations = [observed(session, target) for session in sessions]
     (width, height, _), (projector, _) = sessions[0].format, sessions[0].projector()
+    chances = []
     for held in observations:
         others = [o for o in observations if o is not held]
         found = characterise(others, target, (width, height), projector)
         assert rigid_rms(triangulated(held, found.calibration), found.board[held.ids]) <= 0.06, held.name
+        told = judge(found.calibration, [held])
+        chances.append(min(told.camera.chance, told.projector.chance))
+    assert sorted(chances)[1] > 0.01, "one of five may be contradicted"
 
 
 def observed(session: Session, target: Target) -> Observation:
