@@ -22,6 +22,7 @@ from fpplab.characterisation.pose_effects import (
     PoseShift,
     pose_effects,
     pose_shifts,
+    rough_residuals,
     widened_variances,
 )
 from fpplab.characterisation.problem import Problem
@@ -67,30 +68,25 @@ def _first_sizes(observations: Sequence[Observation], start: Solution, model: Mo
 
 def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
     """Estimate the errors' sizes once from the residuals at a solution: one step of an iteration."""
-    # The squares of the residuals of one kind, less what effects of the poses leave in them, are divided by
-    # their redundancy: the number of residuals less the trace of their share of the normal equations. Without
-    # effects the fixed point is the estimate of restricted maximum likelihood.
+    # The noise comes from what remains of each pose's residuals without the smooth functions of its effects,
+    # so that it does not depend on them: squares over their redundancy, which is the number of residuals less
+    # the trace of their share of the normal equations. Robust weights would take effects for outliers.
     # vector (n,)
     settings = problem.model.settings
-    inverse = inverse_of(problem, problem.normal_equations(vector, settings.huber_limit)[0])
-    of_camera, _ = problem.normal_equations(vector, settings.huber_limit, camera_alone=True)
+    normal, gradient = problem.normal_equations(vector)
+    inverse = inverse_of(problem, normal)
     with_prior, _, sigmas = problem.priors
     held = np.diag(inverse)[with_prior] / sigmas**2
-    used_by_camera = float(np.sum(inverse * of_camera))
-    used_by_projector = len(vector) - used_by_camera - float(held.sum())
-    effects = pose_effects(problem, vector, inverse, settings.huber_limit)
+    effects = pose_effects(problem, vector, inverse, np.inf)
+    effects = replace(effects, scores=effects.scores + effects.passed.T @ gradient)
     variances, uncertainties = effects.variances()
     leaked = effects.leaked @ variances[effects.device]
-    errors, prior_residuals = problem.errors(vector), problem.prior_residuals(vector)
+    rough, redundancy = rough_residuals(problem, vector, inverse)
     noise = [
-        max(
-            size * _residual_to_expected_ratio(residuals, len(residuals) - used, leak, settings),
-            settings.min_error_px,
-        )
-        for size, residuals, used, leak in zip(
-            problem.sizes.independent, errors, (used_by_camera, used_by_projector), leaked, strict=False
-        )
+        max(size * _residual_to_expected_ratio(residuals, free, 0.0, settings), settings.min_error_px)
+        for size, residuals, free in zip(problem.sizes.independent, rough, redundancy, strict=False)
     ]
+    prior_residuals = problem.prior_residuals(vector)
     board = list(problem.sizes.independent[2:])
     if problem.model.refined:
         pitch = float(np.median(problem.near.poses[:, 5])) / problem.near.camera[0]
@@ -102,7 +98,7 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
                 ),
                 settings.min_board_error_ratio * noise[0] * pitch,
             )
-            for size, row, leak in zip(board, problem.board_rows, leaked[2:], strict=True)
+            for size, row, leak in zip(board, problem.board_rows, leaked, strict=True)
         ]
     return ErrorSizes(*noise, *board, *np.sqrt(widened_variances(variances, uncertainties)).tolist())
 

@@ -45,7 +45,7 @@ class PoseEffects:
     information: Floats
     passed: Floats  # (n, E) derivatives of the estimate by the effects
     device: NDArray[np.intp]  # (E,) 0 for effects on the camera's points, 1 on the projector's
-    leaked: Floats  # (4, E) by kind of independent errors and effect
+    leaked: Floats  # (2, E) squares in the board's residuals, within its plane and out of it, by effect
 
     @property
     def groups(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -53,6 +53,7 @@ class PoseEffects:
         return np.flatnonzero(self.device == 0), np.flatnonzero(self.device == 1)
 
     def without(self, rows: NDArray[np.intp]) -> PoseEffects:
+        """Leave effects out."""
         remaining = np.delete(np.arange(len(self.scores)), rows)
         return PoseEffects(
             self.scores[remaining],
@@ -111,24 +112,25 @@ def pose_effects(problem: Problem, vector: Floats, inverse: Floats, limit: float
     """Compute how effects of the poses reach the residuals of a fit and the estimate."""
     # vector (n,); inverse (n, n)
     solution = problem.unpack(vector)
-    columns, scores, own, bases = [], [], [], []
+    columns, scores, own = [], [], []
     for index in range(len(problem.observations)):
         basis = effects_of_pose(problem, index, solution)
         residuals, weight = problem.weighted_residuals(index, solution, limit)
         scores.append(basis.T @ (weight * residuals))
         own.append(basis.T @ (weight[:, None] * basis))
         columns.append(problem.transposed(index, solution, weight[:, None] * basis))
-        bases.append(basis)
     through = np.hstack(columns)
     passed = -inverse @ through
     effects = len(problem.observations) * 4 * FUNCTIONS
     device = np.arange(effects) // (2 * FUNCTIONS) % 2
+    places, _, sigmas = problem.priors
+    leaked = [np.sum((passed[places[rows]] / sigmas[rows, None]) ** 2, axis=0) for rows in problem.board_rows]
     return PoseEffects(
         np.concatenate(scores),
         block_diag(*own) + through.T @ passed,
         passed,
         device,
-        _squares_leaked_into_poses(problem, vector, bases, passed),
+        np.array(leaked),
     )
 
 
@@ -143,20 +145,23 @@ def effects_of_pose(problem: Problem, index: int, solution: Solution) -> Floats:
     return problem.whitened(index, rows.reshape(4 * len(functions), -1), solution.carried)
 
 
-def _squares_leaked_into_poses(
-    problem: Problem, vector: Floats, bases: list[Floats], passed: Floats
-) -> Floats:
-    """Sums of squares (4, E) of the whitened residuals of each kind of errors by effect."""
-    solution, priors = problem.unpack(vector), problem.priors
-    total = np.zeros((len(problem.sizes.independent), passed.shape[1]))
-    for index, basis in enumerate(bases):
-        residuals = problem.whitened_residual_changes(index, solution, passed)
-        own = slice(index * basis.shape[1], (index + 1) * basis.shape[1])
-        residuals[:, own] += basis
-        total[:2] += np.sum(residuals.reshape(2, -1, passed.shape[1]) ** 2, axis=1)
-    for kind, rows in zip((2, 3), problem.board_rows, strict=True):
-        total[kind] = np.sum((passed[priors[0][rows]] / priors[2][rows, None]) ** 2, axis=0)
-    return total
+def rough_residuals(
+    problem: Problem, vector: Floats, inverse: Floats
+) -> tuple[tuple[Floats, Floats], tuple[float, float]]:
+    """Take the smooth functions of each pose from its whitened residuals."""
+    # returns residuals of camera and projector, and the expected sums of their squares
+    solution, every = problem.unpack(vector), np.eye(len(vector))
+    rough, free = [], np.zeros(2)
+    for index in range(len(problem.observations)):
+        smooth, _ = np.linalg.qr(effects_of_pose(problem, index, solution))
+        residuals, _ = problem.weighted_residuals(index, solution, np.inf)
+        slopes = problem.whitened_residual_changes(index, solution, every)
+        slopes -= smooth @ (smooth.T @ slopes)
+        used = np.sum((slopes @ inverse) * slopes, axis=1) + np.sum(smooth**2, axis=1)
+        free += [half.size - half.sum() for half in np.split(used, 2)]
+        rough.append(np.split(residuals - smooth @ (smooth.T @ residuals), 2))
+    camera, projector = (np.concatenate(parts) for parts in zip(*rough, strict=True))
+    return (camera, projector), (float(free[0]), float(free[1]))
 
 
 def widened_variances(variances: Floats, uncertainties: Floats) -> Floats:

@@ -219,39 +219,33 @@ class Problem:
         index, means, sigmas = self.priors
         return np.asarray((vector[index] - means) / sigmas)
 
-    def normal_equations(
-        self, vector: Floats, limit: float = np.inf, camera_alone: bool = False
-    ) -> tuple[Floats, Floats]:
+    def normal_equations(self, vector: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:
         """Build the normal equations of the residuals r with derivatives J."""
         # vector (n,); returns matrix (n, n), gradient (n,)
         solution = self.unpack(vector)
         matrix, gradient = np.zeros((len(vector), len(vector))), np.zeros(len(vector))
         for index in range(len(self.observations)):
-            self._add_pose(matrix, gradient, index, solution, limit, camera_alone)
-        if not camera_alone:
-            with_prior, _, sigmas = self.priors
-            prior_residuals = self.prior_residuals(vector)
-            weight = huber_weights(prior_residuals, 1.0, limit) / sigmas
-            matrix[with_prior, with_prior] += weight / sigmas
-            gradient[with_prior] += weight * prior_residuals
+            self._add_pose(matrix, gradient, index, solution, limit)
+        with_prior, _, sigmas = self.priors
+        prior_residuals = self.prior_residuals(vector)
+        weight = huber_weights(prior_residuals, 1.0, limit) / sigmas
+        matrix[with_prior, with_prior] += weight / sigmas
+        gradient[with_prior] += weight * prior_residuals
         return matrix, gradient
 
     def pose_equations(self, index: int, vector: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:
         """Build what one pose adds to the normal equations."""
         # vector (n,); returns matrix (n, n), gradient (n,)
         matrix, gradient = np.zeros((len(vector), len(vector))), np.zeros(len(vector))
-        self._add_pose(matrix, gradient, index, self.unpack(vector), limit, False)
+        self._add_pose(matrix, gradient, index, self.unpack(vector), limit)
         return matrix, gradient
 
     def _add_pose(
-        self, matrix: Floats, gradient: Floats, index: int, solution: Solution, limit: float,
-        camera_alone: bool,
+        self, matrix: Floats, gradient: Floats, index: int, solution: Solution, limit: float
     ) -> None:  # fmt: skip
         raw, columns, slopes, by_point = self._linearised(index, solution)
         residuals = self.whitened(index, raw, solution.carried)
         weight = huber_weights(residuals, 1.0, limit)
-        if camera_alone:
-            weight[len(weight) // 2 :] = 0.0
         weighted = slopes * weight[:, None]
         matrix[np.ix_(columns, columns)] += slopes.T @ weighted
         gradient[columns] += weighted.T @ residuals
