@@ -36,20 +36,22 @@ class SceneState:
 
 
 def build_scene(
-    world: World, setup: SceneState, around: Surface | None = None
+    world: World, setup: SceneState, around: tuple[Surface, ...] = ()
 ) -> tuple[RenderScene, MirrorTexture]:
     surfaces = _mounted(world, setup)
-    if around is not None:
-        surfaces = (*surfaces, *_frame_surfaces(world, setup), around)
+    if around:
+        surfaces = (*surfaces, *_frame_surfaces(world, setup), *around)
     return _build_scene_around(
         world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces])
     )
 
 
-def build_background(world: World, setup: SceneState, around: Surface) -> tuple[RenderScene, MirrorTexture]:
-    """Build the scene in which the surroundings are seen behind the mounted item and in its shadow."""
+def build_background(
+    world: World, setup: SceneState, around: tuple[Surface, ...]
+) -> tuple[RenderScene, MirrorTexture]:
+    """Build the scene in which all that stands still is seen behind the mounted item and in its shadow."""
     at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
-    surfaces = (around, *_frame_surfaces(world, at_rest), *_mounted(world, at_rest))
+    surfaces = (*around, *_frame_surfaces(world, at_rest), *_mounted(world, at_rest))
     return _build_scene_around(
         world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces])
     )

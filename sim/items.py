@@ -94,6 +94,11 @@ def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
     return Surface(vertices, faces, pose.matrix, world.material_of(name).paint())
 
 
+def standing_surfaces(world: World) -> tuple[Surface, ...]:
+    """Make the surfaces of the items that stand in view whatever the fixture holds."""
+    return tuple(item_surface(world, name, item_poses(world, name)[0]) for name in world.standing)
+
+
 def rim_surface(world: World, name: str, pose: RigidTransform) -> Surface | None:
     """Make the dark frame of a board: a plate just behind it, of which the rim is seen."""
     item = world.item(name)

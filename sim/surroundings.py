@@ -21,14 +21,14 @@ from sim.scene import Paint, Surface
 from sim.world import SurroundingsSection, World
 
 
-def surroundings_surface(world: World) -> Surface | None:
-    """Make the surface of a world's surroundings."""
+def surroundings_surfaces(world: World) -> tuple[Surface, ...]:
+    """Make the surface of a world's surroundings, where it has any."""
     section = world.surroundings
     if section is None:
-        return None
+        return ()
     vertices, faces = _read_mesh_cached(Path(section.mesh), _changed_ns(section.mesh))
     picture = _read_picture_cached(Path(section.picture), _changed_ns(section.picture))
-    return _surface(vertices, faces, picture, section.reflectance, world.camera_model())
+    return (_surface(vertices, faces, picture, section.reflectance, world.camera_model()),)
 
 
 def _surface(

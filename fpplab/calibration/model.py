@@ -14,6 +14,7 @@ from pydantic import AfterValidator, AwareDatetime, Field, model_validator
 
 from fpplab.calibration.board import FittedBoard, FittedBoardFile
 from fpplab.calibration.drawing import calibration_table, draw_from_above
+from fpplab.calibration.marks import LocatedMarks, LocatedMarksFile
 from fpplab.calibration.plausibility import explain_impossible
 from fpplab.core import config
 from fpplab.core.config import Document
@@ -132,6 +133,8 @@ class Calibration:
         When and from which devices' images it was made; None where that is unknown.
     doubt : str, optional
         Why it was doubtful when it was made; None where nothing spoke against it.
+    marks : LocatedMarks, optional
+        Reference marks that show in later scans whether the rig has changed; None where there are none.
     """
 
     camera: Pinhole
@@ -142,6 +145,7 @@ class Calibration:
     board: FittedBoard | None = None
     origin: CalibrationOrigin | None = None
     doubt: str | None = None
+    marks: LocatedMarks | None = None
 
     def __repr__(self) -> str:
         sizes = ", ".join(
@@ -451,6 +455,8 @@ class CalibrationFile(Document):
     """When and from which devices' images the calibration was made, where that is known."""
     doubt: str | None = None
     """Why the calibration was doubtful when it was made."""
+    marks: LocatedMarksFile | None = None
+    """Reference marks as they were seen at the time of the characterisation."""
     checksum: str | None = None
     """SHA-256 of all but the origin, as fpplab wrote it; to change a number, delete this line."""
 
@@ -475,6 +481,7 @@ class CalibrationFile(Document):
             board=FittedBoardFile.of(calibration.board) if calibration.board else None,
             origin=calibration.origin,
             doubt=calibration.doubt,
+            marks=LocatedMarksFile.of(calibration.marks) if calibration.marks else None,
         )
 
     def calibration(self) -> Calibration:
@@ -482,5 +489,5 @@ class CalibrationFile(Document):
         uncertainty = self.uncertainty.uncertainty() if self.uncertainty else None
         pose, board = self.T_projector_camera.transform(), self.board.board() if self.board else None
         devices = self.camera.model(), self.projector.model()
-        rms_px = dict(self.rms_px)
-        return Calibration(*devices, pose, rms_px, uncertainty, board, self.origin, self.doubt)
+        rms_px, marks = dict(self.rms_px), self.marks.marks() if self.marks else None
+        return Calibration(*devices, pose, rms_px, uncertainty, board, self.origin, self.doubt, marks)

@@ -17,7 +17,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.linalg import block_diag, solve_triangular
 
 from fpplab.calibration.changes import changes_by_part, kinds_by_part
 from fpplab.calibration.model import Calibration, Uncertainty
@@ -72,6 +72,30 @@ def correct(
     """Correct a calibration by poses of its board that were taken after a change."""
     before = judge(calibration, observations, left_out, source)
     known = CalibrationAsFitted.of(calibration, source)
+    change = estimate_change(calibration, known, observations)
+    at = known.with_parameters(change.parameters)
+    corrected = with_parameters(calibration, at, change.covariance + np.outer(at.longer, at.longer))
+    after = judge(corrected, observations, left_out, source)
+    if after.contradicted:
+        raise CalibrationError(
+            f"{source}: no change of place, lenses or pictures explains these poses ({after.verdict})"
+        )
+    return Correction(corrected, change.probabilities, before, after)
+
+
+@dataclass(frozen=True, eq=False)
+class ChangeEstimate:
+    """What is known of the parameters after a change that poses have shown."""
+
+    parameters: Floats  # (n,) as now expected
+    covariance: Floats  # (n, n), without the board's scale
+    probabilities: dict[str, float]  # that each part of the rig has changed
+
+
+def estimate_change(
+    calibration: Calibration, known: CalibrationAsFitted, observations: Sequence[Observation]
+) -> ChangeEstimate:
+    """Estimate by Bayes' rule what has changed, from poses of what `known` has as its board."""
     hypotheses = _hypotheses(calibration, known)
     stated = mean = known.parameters()
     for _ in range(ITERATIONS):
@@ -83,19 +107,11 @@ def correct(
         mean = stated + np.average([fit.change for fit in fits], axis=0, weights=weights)
     spread = [fit.change - (mean - stated) for fit in fits]
     each = [fit.covariance + np.outer(off, off) for fit, off in zip(fits, spread, strict=True)]
-    covariance = np.average(each, axis=0, weights=weights)
-    at = known.with_parameters(mean)
-    corrected = with_parameters(calibration, at, covariance + np.outer(at.longer, at.longer))
-    after = judge(corrected, observations, left_out, source)
-    if after.contradicted:
-        raise CalibrationError(
-            f"{source}: no change of place, lenses or pictures explains these poses ({after.verdict})"
-        )
     probabilities = {
         name: float(sum(w for w, (names, _) in zip(weights, hypotheses, strict=True) if name in names))
         for name in changes_by_part(calibration)
     }
-    return Correction(corrected, probabilities, before, after)
+    return ChangeEstimate(mean, np.average(each, axis=0, weights=weights), probabilities)
 
 
 def _hypotheses(calibration: Calibration, known: CalibrationAsFitted) -> list[tuple[tuple[str, ...], Floats]]:
@@ -124,6 +140,7 @@ def with_parameters(calibration: Calibration, known: CalibrationAsFitted, covari
         projector=projector,
         T_projector_camera=transform(pair),
         uncertainty=uncertainty,
+        marks=None,  # which were seen before the change
     )
 
 
@@ -140,23 +157,27 @@ class _Fit:
 class _Residuals:
     """Whitened residuals of all poses, less what the poses take up, linear in errors of unit variance.
 
-    All that Bayes' rule needs of them are the products of their columns: the residuals for the parameters as
-    stated, their derivatives by errors that the points of one pose share, and those by the parameters.
+    All that Bayes' rule needs of them is the triangle R of a QR decomposition of their columns: the residuals
+    for the parameters as stated, their derivatives by errors that the points of one pose share, and those by
+    the parameters. Their products, squares of great numbers, would not be exact enough.
     """
 
-    products: Floats  # (1 + E + n, 1 + E + n)
+    triangle: Floats  # (1 + E + n, 1 + E + n)
 
     def fit(self, calibration_error: Floats, kinds: Floats) -> _Fit:
         """Apply Bayes' rule where the parameters are off by an error of the calibration and by a change."""
         modes = np.hstack([calibration_error, kinds])
-        errors = block_diag(np.eye(len(self.products) - 1 - len(modes)), modes)
-        seen, count = errors.T @ self.products[1:, 0], modes.shape[1]
-        normal = cho_factor(np.eye(errors.shape[1]) + errors.T @ self.products[1:, 1:] @ errors)
-        mean = cho_solve(normal, seen)
-        covariance = cho_solve(normal, np.eye(len(mean)))[-count:, -count:]
-        half_logarithm = float(np.sum(np.log(np.diag(normal[0]))))
-        evidence = -0.5 * float(self.products[0, 0] - seen @ mean) - half_logarithm
-        return _Fit(evidence, modes @ mean[-count:], modes @ covariance @ modes.T)
+        errors = block_diag(np.eye(self.triangle.shape[1] - 1 - len(modes)), modes)
+        count, shape = modes.shape[1], errors.shape[1]
+        design = np.vstack([self.triangle[:, 1:] @ errors, np.eye(shape)])
+        observed = np.append(self.triangle[:, 0], np.zeros(shape))
+        orthogonal, root = np.linalg.qr(design)
+        seen = orthogonal.T @ observed
+        inverse = solve_triangular(root, np.eye(shape))[-count:]
+        half_logarithm = float(np.sum(np.log(np.abs(np.diag(root)))))
+        evidence = -0.5 * float(observed @ observed - seen @ seen) - half_logarithm
+        changed = modes @ inverse
+        return _Fit(evidence, changed @ seen, changed @ changed.T)
 
 
 def _linearised(at: CalibrationAsFitted, moved: Floats, observations: Sequence[Observation]) -> _Residuals:
@@ -173,4 +194,4 @@ def _linearised(at: CalibrationAsFitted, moved: Floats, observations: Sequence[O
         observed = slopes[:, :n] @ moved - problem.weighted_residuals(0, here, np.inf)[0]
         part = np.column_stack([observed, effects.reshape(len(slopes), -1), slopes[:, :n]])
         parts.append(part - taken_up @ (taken_up.T @ part))
-    return _Residuals(np.asarray(sum(part.T @ part for part in parts)))
+    return _Residuals(np.asarray(np.linalg.qr(np.vstack(parts), "r")))

@@ -128,11 +128,17 @@ def judge(
     source: str = "the calibration",
 ) -> Judgement:
     """Judge a calibration by poses that it was not fitted to."""
-    judged = CalibrationAsFitted.of(calibration, source)
     if not observations:
         raise CalibrationError(
             f"{source}: there is no pose to judge by ({'; '.join((left_out or {}).values())})"
         )
+    return judge_as_fitted(CalibrationAsFitted.of(calibration, source), observations, left_out)
+
+
+def judge_as_fitted(
+    judged: CalibrationAsFitted, observations: Sequence[Observation], left_out: dict[str, str] | None = None
+) -> Judgement:
+    """Judge a calibration by poses of what its `board` is."""
     poses = np.array([judged.pose(o) for o in observations])
     rejectable = rejectable_points(observations)
     kept, rejected = reject_points(observations, replace(judged.devices, poses=poses), rejectable)
@@ -227,7 +233,9 @@ class CalibrationAsFitted:
     def pose(self, observation: Observation) -> Floats:
         """Fit the pose (6,) of the board, by residuals in standard deviations."""
         points, lens = self.devices.board[observation.ids], self.devices.camera
-        _, turn, place = cv2.solvePnP(points, observation.camera_px, matrix_of(lens), lens[4:])
+        _, turn, place = cv2.solvePnP(
+            points, observation.camera_px, matrix_of(lens), lens[4:], flags=cv2.SOLVEPNP_SQPNP
+        )  # which points that nearly lie in a plane do not mislead
         start = np.concatenate([turn, place]).ravel()
         problem, near = self.problem(observation, start)
 
@@ -257,9 +265,11 @@ def _prediction(judged: CalibrationAsFitted, observation: Observation) -> _Predi
     every = np.hstack(
         [np.eye(rows), effects_of_pose(problem, 0, at) * judged.shared, slopes[:, :n] @ judged.factor]
     )
-    remaining = problem.unwhitened(0, every - fitted @ (fitted.T @ every), at.carried)
-    of_device = remaining.reshape(2, rows // 2, -1)
     residuals = np.stack([part.ravel() for part in at.residuals(0, observation)])
+    remaining = problem.unwhitened(0, every - fitted @ (fitted.T @ every), at.carried)
+    remaining[uncoded := np.isnan(residuals.ravel())] = 0.0
+    residuals.ravel()[uncoded] = 0.0
+    of_device = remaining.reshape(2, rows // 2, -1)
     parts = np.split(of_device, [rows, of_device.shape[-1] - n], axis=-1)
     return _Prediction(observation.name, residuals, *parts)
 

@@ -10,17 +10,17 @@ from fpplab.characterisation.limits import LOCAL_FIT_LIMITS as LIMITS
 from fpplab.core.cholesky import solve_positive
 from fpplab.core.conventions import Floats, Map
 from fpplab.targets import Target
-from fpplab.targets.views import Detection, homography, local_frames, window_pixels
+from fpplab.targets.views import Detection, window_pixels
 
 
-def coordinates_at_points(maps: Floats, modulation: Map, target: Target, detection: Detection) -> Floats:
-    """Fit the projector coordinates of the points found."""
-    # maps (height, width, 2) px; modulation (height, width); returns (K, 2)
-    board = target.points()[detection.ids, :2]
-    frames = local_frames(homography(target, detection), board)
-    coordinates = np.full((len(board), 2), np.nan)
+def coordinates_at_points(
+    maps: Floats, modulation: Map, target: Target, detection: Detection, half_mm: float
+) -> Floats:
+    """Fit the projector coordinates of the points found, within a square about each."""
+    # maps (height, width, 2) px; modulation (height, width); half_mm half the square's side; returns (K, 2)
+    frames = target.layout.frames(detection)
+    coordinates = np.full((len(frames), 2), np.nan)
     inverses = np.ascontiguousarray(np.linalg.inv(frames))
-    half_mm = LIMITS.window_pitches * min(target.spacing_mm)
     reaches = half_mm * np.abs(frames).sum(axis=2).max(axis=1)
     _fit_all(
         maps, modulation, np.ascontiguousarray(detection.pixels), inverses, half_mm, reaches, coordinates

@@ -74,7 +74,8 @@ def observe(
     repaired = 0.0
     if periods_px is not None:
         maps, repaired = _with_corrected_orders(name, maps, target, detection, np.array(periods_px), limits)
-    coordinates = coordinates_at_points(maps, decoded.modulation, target, detection)
+    half_mm = LOCAL_FIT_LIMITS.window_pitches * min(target.spacing_mm)
+    coordinates = coordinates_at_points(maps, decoded.modulation, target, detection, half_mm)
     kept = np.isfinite(coordinates).all(axis=1)
     if kept.sum() < TARGET_LIMITS.min_points:
         raise CalibrationError(f"{name}: only {kept.sum()} points of the board are illuminated well enough")

@@ -44,7 +44,9 @@ def reject_points(
 ) -> tuple[list[Observation], list[Rejected]]:
     """Reject points that lie wrong in either device."""
     # The threshold is relative to each device's own robust standard deviation over all poses.
-    residuals = [solution.residuals(i, o) for i, o in enumerate(observations)]
+    residuals = [
+        [np.nan_to_num(r) for r in solution.residuals(i, o)] for i, o in enumerate(observations)
+    ]  # NaN of a coordinate that was not coded
     spreads = [_spread([pair[device] for pair in residuals]) for device in (0, 1)]
     max_px = np.maximum(limits.max_residual_sigmas * np.array(spreads), limits.min_rejected_px)
     kept, rejected = [], []

@@ -144,7 +144,9 @@ class Problem:
     def weighted_residuals(self, index: int, solution: Solution, limit: float) -> tuple[Floats, Floats]:
         """Compute the whitened residuals of one pose with their weights."""
         # returns residuals (4 K,), weight (4 K,)
-        residuals = self.whitened(index, self._raw(index, solution), solution.carried)
+        raw = self._raw(index, solution)
+        residuals = self.whitened(index, raw, solution.carried)
+        residuals[np.isnan(raw)] = 0.0  # of a coordinate that was not coded
         return residuals, huber_weights(residuals, 1.0, limit)
 
     def transposed(self, index: int, solution: Solution, rows: Floats) -> Floats:
@@ -273,7 +275,9 @@ class Problem:
             by_carried,
         ]
         by_point = self.whitened(index, by_point, solution.carried)
-        return raw, np.concatenate(columns).astype(np.intp), np.hstack(parts), by_point
+        slopes, uncoded = np.hstack(parts), np.isnan(raw)
+        slopes[uncoded] = by_point[uncoded] = 0.0
+        return raw, np.concatenate(columns).astype(np.intp), slopes, by_point
 
 
 def without_poses(solution: Solution, held: Sequence[int] | int) -> Solution:

@@ -14,6 +14,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import TWO_PI, Floats, axis_length
 from fpplab.diagnosis.blur import Blur, measured_blur
+from fpplab.diagnosis.geometry import GeometryCheck
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.points import PointSample
 from fpplab.diagnosis.sample import FrameSample
@@ -43,7 +44,7 @@ class Evidence:
     marker: NDArray[np.int64] | None = None  # grey levels of the synchronisation marker in the order shown
     runs: Mapping[str, Floats] = field(default_factory=dict)  # levels (K,) seen of it in each run
     intended: Plan | None = None  # the plan that the points are judged by; by default that of the recording
-    foreign: str | None = None  # how these devices are not those of the calibration
+    geometry: GeometryCheck | None = None  # what is known of the rig's geometry beyond what the points show
     limits: DiagnosisLimits = USUAL_LIMITS
 
     def has(self, needed: Needs) -> bool:

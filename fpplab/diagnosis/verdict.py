@@ -158,7 +158,7 @@ def diagnose_scan(
         cloud,
         calibration,
         intended=intended,
-        foreign=geometry.other_devices if geometry else None,
+        geometry=geometry,
         limits=limits,
     )
     findings = rank_findings(find_causes(evidence))
@@ -167,8 +167,9 @@ def diagnose_scan(
     else:
         one_axis = "stale_calibration: fringes along one axis alone do not show it"
         unplaced = _unplaced(recording, cloud, geometry is None or geometry.region_is_known)
-        is_unseen = cloud.epipolar_px is None and decoded.guided is None
-        unknown = (one_axis,) * is_unseen + (f"region: {unplaced}",) * bool(unplaced)
+        is_seen = decoded.guided is not None or (geometry is not None and geometry.seen)
+        unknown = (one_axis,) * (cloud.epipolar_px is None and not is_seen)
+        unknown += (f"region: {unplaced}",) * bool(unplaced)
         unknown += geometry.unverified if geometry else ()
         seeing = evidence.frames.estimate_pixels_seeing_fringes(cloud)
         counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"

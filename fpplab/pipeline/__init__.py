@@ -14,6 +14,7 @@ from fpplab.pipeline.characterising import (
 from fpplab.pipeline.checking import doubts_about_session
 from fpplab.pipeline.decoding import decode_session, recording_and_fault
 from fpplab.pipeline.depth import check_plan, plan_with_depth
+from fpplab.pipeline.marks import locate_session_marks
 from fpplab.pipeline.measuring import Reconstruction, finish_scan, reconstruct_points, reconstruct_session
 from fpplab.pipeline.response import measure_response
 from fpplab.pipeline.taking import check_disk_space, plan_stage_moves, take_or_resume_session, take_poses
@@ -32,6 +33,7 @@ __all__ = [
     "doubts_about_session",
     "finish_scan",
     "judge_sessions",
+    "locate_session_marks",
     "measure_response",
     "observe_session",
     "plan_stage_moves",

@@ -28,6 +28,7 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.phase import decode
 from fpplab.pipeline.checking import fault_in_step, plan_fault
+from fpplab.pipeline.marks import correct_by_marks
 from fpplab.sessions.origin import calibration_origin
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
@@ -114,8 +115,16 @@ def correct_by_sessions(
     source: Path | str,
     progress: Progress = no_progress,
 ) -> Correction:
-    """Correct a calibration by poses of its board, one session each."""
-    observations, left_out = _observe_board_of(calibration, sessions, source, progress)
+    """Correct a calibration by poses of its board, one session each, or by a scan of its reference marks."""
+    if calibration.marks is not None and len(sessions) == 1:
+        try:
+            observations, left_out = _observe_board_of(calibration, sessions, source, progress)
+        except CalibrationError:
+            observations = []
+        if not observations:
+            return correct_by_marks(sessions[0], calibration, calibration.marks)
+    else:
+        observations, left_out = _observe_board_of(calibration, sessions, source, progress)
     return correct(calibration, observations, left_out, str(source))
 
 

@@ -134,7 +134,7 @@ def _judge(
     calibration: Calibration,
     limits: DiagnosisLimits,
 ) -> Diagnosis:
-    geometry = geometry_check(session, decoded, cloud, calibration, limits)
+    geometry = geometry_check(session, recording, decoded, cloud, calibration, limits)
     return diagnose_scan(recording, decoded, cloud, calibration, geometry=geometry, limits=limits)
 
 

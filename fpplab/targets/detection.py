@@ -17,7 +17,7 @@ from fpplab.core.errors import CalibrationError
 from fpplab.targets.layout import BoardLayout
 from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.point_fits import fit_centres
-from fpplab.targets.views import Detection, homography, local_frames, stretch_to_8_bits
+from fpplab.targets.views import Detection, stretch_to_8_bits
 
 
 def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
@@ -35,9 +35,7 @@ def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
 def refine_points(layout: BoardLayout, coarse: Detection, level: Floats) -> Detection | None:
     """Locate every point by a model fit of its own."""
     # level (height, width)
-    board = layout.points()[coarse.ids, :2]
-    frames = local_frames(homography(layout, coarse), board)
-    centres = fit_centres(level, coarse.pixels, frames, layout.point_model())
+    centres = fit_centres(level, coarse.pixels, layout.frames(coarse), layout.point_model())
     fitted = np.isfinite(centres).all(axis=1)
     if fitted.sum() < LIMITS.min_points:
         return None

@@ -18,7 +18,7 @@ from fpplab.core.conventions import Floats
 from fpplab.targets.drawing import InkShape
 from fpplab.targets.fields import GridFields, PrintFields
 from fpplab.targets.profiles import PointModel
-from fpplab.targets.views import Detection
+from fpplab.targets.views import Detection, homography, local_frames
 
 Cells = NDArray[np.intp]
 """Lattice coordinates (n, 2) in whole steps."""
@@ -169,6 +169,21 @@ class BoardLayout(PrintFields, GridFields, ABC):
         Detection or None
             Points with their ids on the board; None when it is not there.
         """
+
+    def frames(self, located: Detection) -> Floats:
+        """Compute the Jacobian of the image by the board at each point.
+
+        Parameters
+        ----------
+        located : Detection
+            Points found.
+
+        Returns
+        -------
+        Floats
+            (K, 2, 2) in px per mm.
+        """
+        return local_frames(homography(self, located), self.points()[located.ids, :2])
 
     def corrected(self, located: Detection) -> Detection:
         """Correct located features for the difference from the images of the board's points.

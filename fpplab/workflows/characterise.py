@@ -46,6 +46,8 @@ class CharacterisationRequest:
     depth_mm: DepthInterval | None = None  # working range of guided poses; by default of plan or rig
     force: bool = False  # whether existing files are replaced
     limits: CharacterisationLimits | None = None  # of an expert, by which poses and fit are judged
+    marks: Path | None = None  # session that shows the rig's reference marks, after the poses
+    marks_target: Target | None = None  # what is printed on them
 
     @property
     def page(self) -> Path:
@@ -91,6 +93,10 @@ def check_characterisation_input(request: CharacterisationRequest) -> None:
     refuse_existing(request.out, request.force or continued)
     # A report alone is of a run that ended before its result.
     refuse_existing(request.page, request.force or continued or is_report(request.page))
+    if request.marks is not None:
+        from fpplab.sessions.session import recorded_sessions
+
+        recorded_sessions([request.marks])  # which is read after the poses
     if request.rig is not None:
         _check_plan(_plan_of(request), request.plan_name)
 
@@ -230,6 +236,13 @@ def _save_and_report(
     else:
         diagnosis = diagnose_points(len(fitted.poses), fitted.warnings, fitted.left_out, findings)
         provenance = point_list_provenance(request.points.path, fitted.calibration, request.out)
+    if request.marks is not None and request.marks_target is not None:
+        from fpplab.pipeline import locate_session_marks
+        from fpplab.sessions.session import recorded_sessions
+
+        (seen,) = recorded_sessions([request.marks])
+        located = locate_session_marks(seen, request.marks_target, fitted.calibration)
+        fitted = replace(fitted, calibration=located)
     if not diagnosis.is_good:
         fitted = replace(fitted, calibration=replace(fitted.calibration, doubt=diagnosis.reason))
     for reason in fitted.left_out.values():

@@ -89,7 +89,7 @@ def _diagnosis(
     if cloud is None or calibration is None or not (session.path / DECODED).is_file():
         return None, None
     recording, decoded = session.recording(verify=False), Decoded.load(session.path / DECODED)
-    geometry = geometry_check(session, decoded, cloud, calibration)
+    geometry = geometry_check(session, recording, decoded, cloud, calibration)
     diagnosis = diagnose_scan(recording, decoded, cloud, calibration, geometry=geometry)
     return diagnosis, "for this report"
 

@@ -1,6 +1,6 @@
-"""Direct light on the surroundings, behind the mounted item and in its shadow.
+"""Direct light on the surroundings and on standing items, behind the mounted item and in its shadow.
 
-The surroundings stand still, so their table is traced once for each pose of the item. What light they throw
+They stand still, so their table is traced once for each pose of the item. What light they throw
 on the item is left out, as all light by way of other surfaces is on the path `transport`.
 """
 
@@ -30,8 +30,8 @@ from sim.world import World
 class Background:
     """The light of the surroundings of one world."""
 
-    def __init__(self, world: World, surface: Surface) -> None:
-        self._world, self._surface = world, surface
+    def __init__(self, world: World, surfaces: tuple[Surface, ...]) -> None:
+        self._world, self._surfaces = world, surfaces
         # Two by two points of every pixel are few: surfaces far behind the item are not sharp.
         self._views = lens_views(2, world.camera.aperture_mm)
         self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache()
@@ -97,7 +97,7 @@ class Background:
     def _build_scene(self, setup: SceneState) -> tuple[SceneState, RenderScene, MirrorTexture]:
         at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
         if self._scene is None or self._scene[0] != at_rest:
-            self._scene = (at_rest, *build_background(self._world, at_rest, self._surface))
+            self._scene = (at_rest, *build_background(self._world, at_rest, self._surfaces))
         return self._scene
 
 

@@ -25,6 +25,7 @@ import numpy as np
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.patterns.fringes import Pattern
 from sim.build import NOTHING, SceneState, build_scene
+from sim.items import standing_surfaces
 from sim.light.background import Background
 from sim.light.basis import Basis, PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
@@ -39,7 +40,7 @@ from sim.light.solid import can_trace, traced
 from sim.light.table import LightTable
 from sim.light.vignetting import vignetting
 from sim.scene import COLOURS, PatternRender, RenderScene, RenderSettings, SubpixelView
-from sim.surroundings import surroundings_surface
+from sim.surroundings import surroundings_surfaces
 from sim.texture import MirrorTexture
 from sim.worker import Blender
 from sim.world import World
@@ -93,10 +94,10 @@ class Light:
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(1 << 30)
         self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache()
         self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None
-        self._around = surroundings_surface(world)
-        # On the path `transport` items and surroundings have tables of their own.
-        apart = self._around if world.path == "transport" else None
-        self._background = None if apart is None else Background(world, apart)
+        self._around = (*standing_surfaces(world), *surroundings_surfaces(world))
+        # On the path `transport` the mounted item and all that stands still have tables of their own.
+        apart = self._around if world.path == "transport" else ()
+        self._background = Background(world, apart) if apart else None
         self._falloff, self._room = vignetting(world), RoomLight(world)
         if world.render.path == "auto" and world.indirect:
             _log.warning(
@@ -109,7 +110,7 @@ class Light:
         """Compute the irradiance that the camera sees."""
         # row_weights (bits, height); returns (height, width)
         width, height = self._world.camera.size
-        is_empty = setup.item == NOTHING and self._around is None
+        is_empty = setup.item == NOTHING and not self._around
         if is_empty or (show is None and not self._world.has_room_light):
             return np.zeros((height, width), np.float32)
         picture = np.zeros((height, width), np.float32)
@@ -343,7 +344,7 @@ class Light:
 
     def _built(self, setup: SceneState) -> tuple[SceneState, RenderScene, MirrorTexture]:
         if self._scene is None or self._scene[0] != setup:
-            around = self._around if self._background is None else None
+            around = self._around if self._background is None else ()
             self._scene = (setup, *build_scene(self._world, setup, around))
         return self._scene
 

@@ -73,6 +73,9 @@ class WorldContents(Document):
     """What the fixture can hold, by name."""
     mounted: str = "nothing"
     """Item that the fixture holds at first."""
+    standing: tuple[str, ...] = ()
+    """Items that stand still in view whatever the fixture holds, such as reference marks, in the first of
+    their poses."""
     material: MaterialSection = Diffuse()
     """Material of items that name none of `materials`."""
     materials: Annotated[dict[str, MaterialSection], Field(default_factory=dict)]
@@ -99,6 +102,8 @@ class World(WorldEffects, WorldContents):
             raise ValueError(
                 f"'mounted' is '{self.mounted}': must be nothing, or one of {', '.join(self.items)}"
             )
+        if other := [name for name in self.standing if name not in self.items]:
+            raise ValueError(f"'standing' names '{other[0]}': must be of {', '.join(self.items)}")
         return self
 
     @model_validator(mode="after")
@@ -110,6 +115,12 @@ class World(WorldEffects, WorldContents):
                 raise ValueError(
                     f"'items.{name}.material' is '{material}': must be of 'materials' ({choices})"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _standing_items_are_opaque(self) -> World:
+        if translucent := [name for name in self.standing if self.is_translucent(name)]:
+            raise ValueError(f"'standing' names '{translucent[0]}', which is translucent: must be opaque")
         return self
 
     @model_validator(mode="after")

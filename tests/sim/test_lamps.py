@@ -26,7 +26,7 @@ from sim.light.lamps import lamp_light, point_lamps
 from sim.parameters import UNCERTAIN, TwinParameters
 from sim.preview_file import Preview, write_preview
 from sim.sensor import SensorModel
-from sim.surroundings import surroundings_surface
+from sim.surroundings import surroundings_surfaces
 from sim.twin import Twin
 from sim.worker import Blender
 from sim.world import World
@@ -244,7 +244,7 @@ def test_surroundings_throw_no_shadow_of_lamps(tmp_path: Path) -> None:
     plate = plate_in_the_way(tmp_path)
     pixels = (np.full(8, 64), np.arange(80, 112, 4))
     of = lamped(surroundings=plate)
-    of_item = build_scene(of, SceneState("board", 0), surroundings_surface(of))[0]
+    of_item = build_scene(of, SceneState("board", 0), surroundings_surfaces(of))[0]
     alone = build_scene(lamped(), SceneState("board", 0))[0]
     true = lamp_light(lamped(), alone, pixels)
     assert true.min() > 0.02

@@ -12,6 +12,7 @@ from fpplab.core import config
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
+from fpplab.targets.ellipses import eccentricity
 from fpplab.targets.kinds.charuco import CharucoLayout
 from fpplab.targets.kinds.circles import CircleGrid
 from fpplab.targets.views import Detection, apply_homography, homography, local_frames
@@ -305,7 +306,9 @@ def test_ellipses_are_not_taken_for_the_pictures_of_their_circles_centres(view: 
     after = np.linalg.norm(found.pixels - expected, axis=1)
     layout = target.layout
     assert isinstance(layout, CircleGrid)
-    before = np.linalg.norm(found.pixels + layout.eccentricity(found) - expected, axis=1)
+    circles, radius = layout.points()[found.ids, :2], layout.diameter_mm / 2
+    offsets = eccentricity(homography(layout, found), circles, radius)
+    before = np.linalg.norm(found.pixels + offsets - expected, axis=1)
     assert before.max() > 0.5
     assert np.sqrt(np.mean(after**2)) < 0.005
     assert after.max() < 0.01
@@ -341,3 +344,39 @@ def test_opencv_sees_the_same_markers_in_our_picture() -> None:
     dictionary = charuco_model(target).getDictionary()
     _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(picture)
     assert sorted(ids.ravel()) == list(range(len(charuco_model(target).getIds())))
+
+
+# Reference marks
+
+
+def test_marks_are_found_one_by_one_though_cut_apart() -> None:
+    """Two views of the sheet in one image, each with its own half: no homography holds for both."""
+    target, size = Target.load("target_marks"), (1000, 700)
+    camera = Pinhole.from_focal(size, (1400.0, 1400.0), (499.5, 349.5))
+    points, columns = target.points(), target.counts[0]
+    held = [pose((9.0 * s, 5.0, 8.0 * s), (0.0, 0.0, 330.0 + 20.0 * s)) for s in (1, -1)]
+    views = [plane_homography(camera, one) for one in held]
+    of_left = np.arange(len(points)) % columns < columns // 2
+    image = render(target, views[0], size)
+    image[:, size[0] // 2 :] = render(target, views[1], size)[:, size[0] // 2 :]
+    found = target.detect(image)
+    assert found is not None
+    left, right = (apply_homography(view, points[:, :2]) for view in views)
+    off = np.linalg.norm(found.pixels - np.where(of_left[:, None], left, right)[found.ids], axis=1)
+    apart = np.abs(found.ids % columns - (columns - 1) / 2) > 1  # the marks in the middle are cut
+    assert apart.sum() >= 4 * 25
+    assert np.sqrt(np.mean(off[apart] ** 2)) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("counts", (13, 10), "must be even"),
+        ("marker_mm", 9.5, "leaves 1.75 mm for circles"),
+        ("counts", (22, 10), "'dictionary' has 50 markers and the board 55 marks"),
+    ],
+)
+def test_marks_that_cannot_be_told_apart_are_refused(field: str, value: object, words: str) -> None:
+    data = {**config.plain(Target.load("target_marks")), field: value, "size_mm": (400, 300)}
+    with pytest.raises(ConfigError, match=words):
+        config.validate(data, Target, "marks.yaml")

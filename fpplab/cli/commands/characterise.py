@@ -117,6 +117,18 @@ def characterise_command(
             "--guide", help="With --rig: ask for the poses one at a time, by what is still uncertain."
         ),
     ] = False,
+    marks: Annotated[
+        Path | None,
+        typer.Option("--marks", help="Session that shows the rig's reference marks, taken after the poses."),
+    ] = None,
+    marks_target: Annotated[
+        str,
+        typer.Option(
+            "--marks-target",
+            help="With --marks: target file of what is printed.",
+            autocompletion=names_of("target"),
+        ),
+    ] = "target_marks",
     until: Annotated[
         str | None,
         typer.Option(
@@ -156,9 +168,13 @@ def characterise_command(
     those that the calibration predicts. The exit code is 5 where they contradict it. Otherwise `--confirm`
     records when, from which the rig file's `geometry: {max_age_h: ...}` counts.
 
-    With `--correct` the calibration is brought up to date by one to three new poses, after a device was
-    moved, refocused or its picture shifted: `probabilities` says what has changed, `untold` what more poses
-    would tell. Where no such change explains the poses, the exit code is 5: characterise again.
+    With `--marks` the calibration keeps how camera and projector see reference marks (`fpplab target
+    target_marks`) that are fixed in view. Every scan that shows them is then verified by itself.
+
+    With `--correct` the calibration is brought up to date by one to three new poses, or by a scan that shows
+    its reference marks, after a device was moved, refocused or its picture shifted: `probabilities` says what
+    has changed, `untold` what more poses would tell. Where no such change explains what they show, the exit
+    code is 5: characterise again.
 
     With `--combine` several calibrations of one rig become their mean, whose uncertainty contains by how much
     the rig varies between them; `varying` lists the parameters and lengths that vary more than stated.
@@ -173,7 +189,7 @@ def characterise_command(
     `fpplab characterise --combine monday.yaml tuesday.yaml friday.yaml --out week.yaml`
     """
     recorded = tuple(sessions or ())
-    unused = {"--rig": rig, "--target": target, "--points": points}
+    unused = {"--rig": rig, "--target": target, "--points": points, "--marks": marks}
     if corrected and judged:
         raise ConfigError("--correct and --judge exclude each other; judge first")
     if combined:
@@ -219,6 +235,8 @@ def characterise_command(
         depth_mm=depth,
         force=force,
         limits=load_document(limits, CharacterisationLimits, "limits") if limits else None,
+        marks=marks,
+        marks_target=Target.load(marks_target) if marks else None,
     )
     observer = observe_characterisation(context, view, keep_open, out.with_suffix(".rrd"))
     result = run_characterisation(request, observer)

@@ -19,7 +19,7 @@ def target_command(
         str,
         typer.Argument(
             metavar="TARGET",
-            help="Target file, or the name of one that comes with fpplab.",
+            help="Target file, or the name of one that comes with fpplab; `marks` for reference marks.",
             autocompletion=names_of("target"),
         ),
     ],
@@ -30,15 +30,15 @@ def target_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Draw a board for printing at true scale, with a ruler to check the scale.
+    """Draw a board or reference marks for printing at true scale, with a ruler to check the scale.
 
-    Example: `fpplab target target_paper --out board.pdf`
+    Examples: `fpplab target target_paper --out board.pdf`; `fpplab target marks --out marks.pdf`
     """
     from fpplab.core.files import refuse_existing
     from fpplab.targets import Target
     from fpplab.targets.printing import print_target
 
-    board = Target.load(name)
+    board = Target.load("target_marks" if name == "marks" else name)
     refuse_existing(out, force)
     sheet = print_target(board, out, paper, Path(name).stem)
     console.print_result(asdict(sheet), json)

@@ -30,11 +30,16 @@ class StaleCalibrationLimits(LimitsSection):
 
 
 def _find_other_devices(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
-    if evidence.foreign:
+    if evidence.geometry and evidence.geometry.other_devices:
         advice = "give the calibration of these devices, or characterise them"
         # Half of what makes points useless: they may be far off, or right by chance.
         excess = 0.5 * STALE_CALIBRATION.useless_from
-        yield Finding(STALE_CALIBRATION, evidence.foreign, excess, advice)
+        yield Finding(STALE_CALIBRATION, evidence.geometry.other_devices, excess, advice)
+
+
+def _find_changed_marks(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    if evidence.geometry and (change := evidence.geometry.change):
+        yield Finding(STALE_CALIBRATION, change.sentence, change.excess, change.remedy)
 
 
 def _find_moved_rig(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
@@ -97,12 +102,13 @@ STALE_CALIBRATION = FaultCause(
     remedy="characterise the rig again; something was moved, refocused or exchanged, "
     "or the images show another region of the sensor",
     measured="distance of points from their epipolar lines, over groups of neighbours; share of pixels whose "
-    "fringes along a guided axis lie a quarter of a period off",
+    "fringes along a guided axis lie a quarter of a period off; reference marks",
     limit=f"{StaleCalibrationLimits().max_epipolar_px:g} projector px, and the waves of three steps; "
     f"{GUIDED_AXIS.max_off_share:.0%}",
     seen_in="points, two axes",
     detectors=(
         Detector(DetectionStage.POINTS, _find_other_devices),
+        Detector(DetectionStage.POINTS, _find_changed_marks),
         Detector(DetectionStage.POINTS, _find_moved_rig),
         Detector(DetectionStage.POINTS, _find_fringes_elsewhere),
     ),

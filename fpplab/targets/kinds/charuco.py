@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -11,16 +11,12 @@ from numpy.typing import NDArray
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
-from fpplab.targets.drawing import InkBox, InkShape
+from fpplab.targets.drawing import InkShape
 from fpplab.targets.limits import TARGET_LIMITS as LIMITS
+from fpplab.targets.markers import DictionaryName, draw_marker, load_dictionary, markers_in
 from fpplab.targets.profiles import PointModel, crossing_edges
 from fpplab.targets.squares import SquareLayout
 from fpplab.targets.views import Detection
-
-Dictionary = Literal[
-    "4x4_50", "4x4_100", "4x4_250", "4x4_1000", "5x5_50", "5x5_100", "5x5_250", "5x5_1000",
-    "6x6_50", "6x6_100", "6x6_250", "6x6_1000",
-]  # fmt: skip
 
 
 class CharucoLayout(SquareLayout):
@@ -29,7 +25,7 @@ class CharucoLayout(SquareLayout):
     marker_mm: Positive
     """Side of a marker in mm, less than that of a square."""
 
-    dictionary: Dictionary
+    dictionary: DictionaryName
     """OpenCV's dictionary of markers: bits of a marker, and number of markers."""
 
     shows_mirroring: ClassVar[bool] = True
@@ -40,8 +36,7 @@ class CharucoLayout(SquareLayout):
         if self.marker_mm >= self.spacing_mm[0]:
             raise ValueError(f"'marker_mm' must be less than the square of {self.spacing_mm[0]:g} mm")
         markers = (self.counts[0] + 1) * (self.counts[1] + 1) // 2
-        available = int(self.dictionary.split("_")[1])
-        if markers > available:
+        if markers > (available := markers_in(self.dictionary)):
             raise ValueError(f"'dictionary' has {available} markers and the board {markers} markers to fill")
         super().check()
 
@@ -53,22 +48,16 @@ class CharucoLayout(SquareLayout):
     def model(self) -> cv2.aruco.CharucoBoard:
         """Make OpenCV's model of the board."""
         squares = (self.counts[0] + 1, self.counts[1] + 1)
-        name = f"DICT_{self.dictionary.upper()}"
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+        dictionary = load_dictionary(self.dictionary)
         return cv2.aruco.CharucoBoard(squares, self.spacing_mm[0], self.marker_mm, dictionary)
 
     def shapes(self) -> Iterator[InkShape]:
         """Draw the squares and the dark modules of the markers."""
         yield from super().shapes()
         board = self.model()
-        dictionary = board.getDictionary()
-        modules = dictionary.markerSize + 2
         for corners, marker in zip(np.array(board.getObjPoints()), np.array(board.getIds()), strict=True):
-            (x, y), module = corners[0, :2] + self.corner, self.marker_mm / modules
-            bits = dictionary.generateImageMarker(int(marker), modules, borderBits=1)
-            for row, column in np.argwhere(bits == 0):
-                a, b = x + column * module, y + row * module
-                yield InkBox(a, b, a + module, b + module)
+            left, top = corners[0, :2] + self.corner
+            yield from draw_marker(board.getDictionary(), int(marker), left, top, self.marker_mm)
 
     def summary(self) -> str:
         """Describe the board for the legend of a printed page."""

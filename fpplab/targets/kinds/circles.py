@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
 from fpplab.targets.drawing import InkDisc, InkShape
+from fpplab.targets.ellipses import eccentricity
 from fpplab.targets.layout import BoardLayout, GridPatch, PointLattice
 from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.ordering import in_order
 from fpplab.targets.patches import patch_of_blobs
 from fpplab.targets.profiles import PointModel, disc
-from fpplab.targets.views import Detection, apply_homography, homography
+from fpplab.targets.views import Detection, homography
 
 
 class CircleGrid(BoardLayout):
@@ -109,26 +110,10 @@ class CircleGrid(BoardLayout):
         """Compute the images of the circles' centres from the centres of their ellipses."""
         centres = located
         for _ in range(2):  # the homography is first that of the ellipses' centres, then the corrected one
-            centres = Detection(located.ids, located.pixels - self.eccentricity(centres))
+            circles, matrix = self.points()[centres.ids, :2], homography(self, centres)
+            offsets = eccentricity(matrix, circles, self.diameter_mm / 2)
+            centres = Detection(located.ids, located.pixels - offsets)
         return centres
-
-    def eccentricity(self, located: Detection) -> Floats:
-        """Compute the offset of the centres of the ellipses from the images of the circles' centres.
-
-        The centre of a conic is the pole of the line at infinity, so it is read off the dual conic of
-        each circle, C* -> H C* H^T. The lens distorts the ellipse as well, which is neglected: a
-        displacement d shifts the centre of a disc of radius r px by r^2/8 times the Laplacian of d, for
-        d = k1 f x (x^2 + y^2) that is k1 x r^2/f: 0.001 px for k1 = 0.1, r = 15 px at x = 0.15, f = 3600 px.
-
-        Only the camera sees ellipses. The projector's coordinates of a point are those of the decoded
-        maps at the corrected centre.
-        """
-        # returns (K, 2) px
-        matrix = homography(self, located)
-        circles = self.points()[located.ids, :2]
-        duals = np.stack([_dual_circle(circle, self.diameter_mm / 2) for circle in circles])
-        ellipses = matrix @ duals @ matrix.T
-        return np.asarray(ellipses[:, :2, 2] / ellipses[:, 2:, 2] - apply_homography(matrix, circles))
 
     def confusable(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """List `staggered`, and the order of counts that OpenCV has for an asymmetric grid."""
@@ -159,8 +144,3 @@ class CircleGrid(BoardLayout):
         gap = np.min(distances[distances > 0]) - self.diameter_mm
         margin = np.min(0.5 * np.array(self.size_mm) - np.abs(points).max(axis=0)) - 0.5 * self.diameter_mm
         return float(min(0.5 * gap, margin))
-
-
-def _dual_circle(centre: Floats, radius: float) -> Floats:
-    pole = np.append(centre, 1.0)
-    return np.asarray(np.outer(pole, pole) - radius**2 * np.diag([1.0, 1.0, 0.0]))

@@ -1,0 +1,285 @@
+"""Rigs that have changed since they were characterised: what is called good, found, and corrected by marks.
+
+A rig is characterised, and its reference marks located. Then its true geometry is changed, in one kind and
+size at a time, and a part is scanned, along one axis or two, with marks in view or without. Coordinates are
+drawn from exact truths: no image is rendered. A scan is *beyond* where the errors of its points, without
+noise, exceed the interval of 95 % that the calibration states for them, in place or in form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import Result, above, below
+from benchmarks.guided_characterisation import PROJECTOR_PX, Rigged, rigged, unguided
+from fpplab.calibration.marks import LocatedMarks
+from fpplab.calibration.model import Calibration
+from fpplab.characterisation import Observation, characterise
+from fpplab.characterisation.marks import compare_marks
+from fpplab.characterisation.parameters import DistortionModel
+from fpplab.clouds import Cloud
+from fpplab.clouds.cloud import CloudPoints
+from fpplab.core import config
+from fpplab.core.conventions import Floats
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.diagnosis.causes.stale_calibration import StaleCalibrationLimits
+from fpplab.diagnosis.points import systematic_epipolar_px
+from fpplab.phase import Decoded
+from fpplab.pipeline.marks import marks_verdict
+from fpplab.reconstruction.points import triangulate
+from fpplab.reconstruction.triangulation import camera_slopes, coordinate_noise
+from fpplab.reconstruction.uncertainty import rigid_motions, with_uncertainty
+from fpplab.targets import Target
+
+SEEDS = range(7100, 7105)
+"""Of the rigs that judge; development used those below 100."""
+SIZES = np.geomspace(0.03, 10.0, 10)
+"""Sizes of a change, in units of what happens unnoticed."""
+COVERAGE = 1.96
+"""Half of the interval of 95 %, in standard deviations."""
+POSES, NEW_POSES = 12, 12
+HEALTHY = 20
+"""Scans of each rig without a change."""
+PIXEL_STEP = 6
+"""Every so manieth pixel of the camera sees the part."""
+HIDDEN_MARKS = 0.5
+"""Share of the marks that the part hides."""
+
+Change = Callable[[Calibration, float], Calibration]
+
+
+def _turned(device: str, axis: int) -> Change:
+    def change(rig: Calibration, size: float) -> Calibration:
+        turn = RigidTransform.from_vectors(np.radians(0.1 * size) * np.eye(3)[axis], np.zeros(3))
+        pose = rig.T_projector_camera
+        return replace(rig, T_projector_camera=turn @ pose if device == "projector" else pose @ turn)
+
+    return change
+
+
+def _longer_baseline(rig: Calibration, size: float) -> Calibration:
+    shift = RigidTransform.from_vectors(np.zeros(3), np.array([size, 0.0, 0.0]))
+    return replace(rig, T_projector_camera=rig.T_projector_camera @ shift)
+
+
+def _lens(device: str, zoom: float, px: tuple[float, float], k1: float = 0.0) -> Change:
+    def change(rig: Calibration, size: float) -> Calibration:
+        lens: Pinhole = getattr(rig, device)
+        matrix, distortion = lens.matrix.copy(), lens.distortion.copy()
+        matrix[[0, 1], [0, 1]] *= 1.0 + zoom * size
+        matrix[:2, 2] += size * np.array(px)
+        distortion[0] += k1 * size
+        changed = replace(lens, matrix=matrix, distortion=distortion)
+        return replace(rig, camera=changed) if device == "camera" else replace(rig, projector=changed)
+
+    return change
+
+
+KINDS: dict[str, Change] = {
+    **{f"projector turned about {name}": _turned("projector", axis) for axis, name in enumerate("xyz")},
+    **{f"camera turned about {name}": _turned("camera", axis) for axis, name in enumerate("xyz")},
+    "baseline": _longer_baseline,
+    "region of the camera": _lens("camera", 0.0, (2.0, -1.0)),
+    "picture of the projector": _lens("projector", 0.0, (2.0, -1.0)),
+    "zoom of the camera": _lens("camera", 0.003, (0.0, 0.0)),
+    "zoom of the projector": _lens("projector", 0.003, (0.0, 0.0)),
+    "focus of the camera": _lens("camera", -0.002, (0.5, 0.5), 0.002),
+}
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One scan with marks in view."""
+
+    kind: str
+    size: float
+    axes: int
+    place: float  # error over what is stated, RMS
+    form: float  # the same after the best rigid motion
+    good: bool  # whether the marks verify it, and nothing else is told
+    told: bool  # whether marks or epipolar lines show a change
+    told_without: bool  # whether epipolar lines alone do
+    corrected: float  # error of the corrected calibration over that of a new one, in place
+
+    @property
+    def beyond(self) -> bool:
+        """Whether errors exceed the interval that is stated."""
+        return max(self.place, self.form) > COVERAGE
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A characterised rig with reference marks and a part."""
+
+    rig: Rigged
+    calibration: Calibration
+    target: Target
+    marks: Floats  # (P, 3) true points of all marks in mm
+    located: LocatedMarks
+    depth: Floats  # (height, width) of the part in mm, NaN beside it
+
+    @classmethod
+    def drawn(cls, seed: int) -> Bench:
+        """Draw and characterise a rig."""
+        rig, target = rigged(seed), Target.load("target_marks")
+        calibration = _characterised(rig, seed, POSES)
+        marks = _folded(target.points(), rig.random)
+        seen = _observed(rig, rig.truth, marks, "located", 2)
+        located = LocatedMarks(config.plain(target), seen.ids, seen.camera_px, seen.projector_px)
+        width, height = rig.truth.camera.size
+        v, u = np.indices((height, width)) / width
+        depth = 455.0 + 30.0 * (u - 0.5) - 15.0 * v + 8.0 * np.sin(9 * u) * np.cos(7 * v)
+        hidden = (np.abs(u - 0.5) > 0.3) | (np.abs(v - 0.33) > 0.2)
+        hidden |= ((np.arange(width) % PIXEL_STEP)[None] > 0) | (
+            (np.arange(height) % PIXEL_STEP)[:, None] > 0
+        )
+        return cls(rig, calibration, target, marks, located, np.where(hidden, np.nan, depth))
+
+    def judged(self, kind: str, size: float, axes: int, with_correction: bool) -> Judged:
+        """Change the rig, scan, and judge."""
+        now = KINDS[kind](self.rig.truth, size) if size else self.rig.truth
+        true, exact = self._seen(now, axes, 0.0)
+        decoded = self._seen(now, axes, PROJECTOR_PX)[1]
+        noise, stated = coordinate_noise(decoded), self.calibration
+        cloud = with_uncertainty(triangulate(decoded, stated, normals=False), stated, noise)
+        place, form = _errors(triangulate(exact, stated, normals=False), true)
+        off = systematic_epipolar_px(cloud)
+        told_without = off is not None and off > StaleCalibrationLimits().max_epipolar_px
+        shown = np.flatnonzero(self.rig.random.random(len(self.marks) // 4) > HIDDEN_MARKS)
+        seen = _observed(self.rig, now, self.marks, "scan", axes, self._points_of(shown))
+        verdict = marks_verdict(seen, cloud, noise, stated, self.located)
+        told = told_without or verdict.change is not None
+        corrected = np.nan
+        if told and with_correction:
+            new = compare_marks(stated, self.located, seen).corrected
+            corrected = _errors(triangulate(exact, new, normals=False), true)[0]
+        sigmas = [_rms(s) for s in (cloud.sigma_calibration_mm, cloud.sigma_form_mm) if s is not None]
+        return Judged(
+            kind, size, axes, place / sigmas[0], form / sigmas[1], verdict.verified and not told, told,
+            told_without, corrected,
+        )  # fmt: skip
+
+    def new_error(self, kind: str, size: float, axes: int, seed: int) -> float:
+        """Error in place of a new characterisation of the changed rig."""
+        now = KINDS[kind](self.rig.truth, size)
+        true, exact = self._seen(now, axes, 0.0)
+        anew = _characterised(replace(self.rig, truth=now), seed, NEW_POSES)
+        return _errors(triangulate(exact, anew, normals=False), true)[0]
+
+    def _points_of(self, marks: NDArray[np.intp]) -> NDArray[np.intp]:
+        columns = self.target.counts[0]
+        across = columns // 2
+        first = 2 * (columns * (marks // across) + marks % across)
+        return np.sort((first[:, None] + [0, 1, columns, columns + 1]).ravel())
+
+    def _seen(self, now: Calibration, axes: int, noise_px: float) -> tuple[Floats, Decoded]:
+        """True points (height, width, 3) of the part, and what decoding gives of them."""
+        true = np.stack([*(s * self.depth for s in camera_slopes(now.camera)), self.depth], axis=-1)
+        seen = now.projector.project(true, now.T_projector_camera)
+        seen += self.rig.random.normal(0, noise_px, seen.shape) if noise_px else 0.0
+        u, v = np.moveaxis(seen.astype(np.float32), -1, 0)
+        sigma = np.where(np.isfinite(u), np.float32(PROJECTOR_PX), np.float32(np.nan))
+        flat = np.where(np.isfinite(u), np.float32(100), np.float32(0))
+        return true, Decoded(u, v if axes == 2 else np.full_like(v, np.nan), flat, sigma)
+
+
+def _folded(points: Floats, random: np.random.Generator) -> Floats:
+    """Place a sheet of marks that is folded along a line: upright behind the part, and lying before that."""
+    fold_deg, crease = float(random.uniform(40, 70)), 13.0
+    lying = RigidTransform.from_vectors(np.radians([fold_deg, 0, 0]), np.array([0.0, crease, 0.0]))
+    below = points[:, 1] > crease
+    folded = np.where(below[:, None], lying.apply(points - [0.0, crease, 0.0]), points)
+    place = np.array([*random.uniform(-4, 4, 2), random.uniform(500, 520)])
+    return RigidTransform.from_vectors(np.radians(random.uniform(-5, 5, 3)), place).apply(folded)
+
+
+def _observed(
+    rig: Rigged, truth: Calibration, points: Floats, name: str, axes: int, ids: NDArray[np.intp] | None = None
+) -> Observation:
+    """See points as the board's are seen, with the same noise."""
+    seen = replace(rig, truth=truth, board=points).observed(name, RigidTransform.identity())
+    rows = np.arange(len(seen.ids)) if ids is None else np.flatnonzero(np.isin(seen.ids, ids))
+    projector_px = seen.projector_px[rows].copy()
+    if axes == 1:
+        projector_px[:, 1] = np.nan
+    return Observation(name, seen.ids[rows], seen.camera_px[rows], projector_px)
+
+
+def _characterised(rig: Rigged, seed: int, poses: int) -> Calibration:
+    truth, target = rig.truth, Target.load("target_paper")
+    sizes = (truth.camera.size, truth.projector.size)
+    observations = unguided(rig, seed, poses)
+    return characterise(
+        observations, target, *sizes, truth.projector.lattice, level=DistortionModel.K3
+    ).calibration
+
+
+def _errors(cloud: Cloud, true: Floats) -> tuple[float, float]:
+    """RMS distance in mm of points from the true ones, as they are and after the best rigid motion."""
+    assert cloud.pixels is not None
+    u, v = cloud.pixels.T
+    at = true[v, u]
+    off = cloud.points.astype(np.float64) - at
+    rigid = rigid_motions(at - at.mean(axis=0)).reshape(-1, 6)
+    deformed = off.ravel() - rigid @ np.linalg.lstsq(rigid, off.ravel(), rcond=None)[0]
+    return float(np.sqrt(np.square(off).sum(axis=1).mean())), float(np.sqrt(3 * np.square(deformed).mean()))
+
+
+def _share(told: list[bool]) -> float:
+    return float(np.mean(told))
+
+
+def _rms(values: CloudPoints) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def judged_changes(seed: int) -> Iterator[Judged]:
+    """Judge each kind and size of change on one rig, and scans without a change."""
+    bench = Bench.drawn(seed)
+    for axes in (1, 2):
+        for _ in range(HEALTHY):
+            yield bench.judged("baseline", 0.0, axes, False)
+        for kind in KINDS:
+            for n, size in enumerate(SIZES * bench.rig.random.choice([-1, 1], len(SIZES))):
+                judged = bench.judged(kind, float(size), axes, n == len(SIZES) - 3)
+                if np.isfinite(judged.corrected):
+                    new = bench.new_error(kind, float(size), axes, seed + n)
+                    judged = replace(judged, corrected=judged.corrected / new)
+                yield judged
+
+
+def run() -> list[Result]:
+    """Judge all kinds and sizes on several rigs."""
+    return results_of([judged for seed in SEEDS for judged in judged_changes(seed)])
+
+
+def results_of(judged: list[Judged]) -> list[Result]:
+    """Count what was called good and beyond, found and corrected."""
+    healthy = [one.good for one in judged if not one.size]
+    results = [above("scans without a change that are good", float(np.mean(healthy)), "", 1.0)]
+    for axes in (1, 2):
+        some, name = [one for one in judged if one.size and one.axes == axes], f"{axes} axes"
+        clear = [one for one in some if max(one.place, one.form) > 2.0]
+        believed = sum(one.beyond and one.good for one in some)
+        ratios = [one.corrected for one in some if np.isfinite(one.corrected)]
+        results += [
+            below(f"{name}: good beyond its interval", believed, "scans", 0.5),
+            above(
+                f"{name}: found of errors over twice those stated",
+                float(np.mean([o.told for o in clear])),
+                "",
+                0.95,
+            ),
+            above(f"{name}: found without marks", float(np.mean([o.told_without for o in clear])), "", 0.0),
+            below(
+                f"{name}: error corrected over that of a new one, RMS",
+                _rms(np.array(ratios, np.float32)),
+                "",
+                1.2,
+            ),
+        ]
+    return results

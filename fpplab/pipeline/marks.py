@@ -1,0 +1,160 @@
+"""What the reference marks in a scan say about the rig's geometry, in µm at the points of the scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fpplab.calibration.marks import LocatedMarks
+from fpplab.calibration.model import Calibration
+from fpplab.characterisation import Correction
+from fpplab.characterisation.marks import (
+    MarksComparison,
+    compare_marks,
+    locate_marks,
+    observe_marks,
+    triangulate_marks,
+)
+from fpplab.characterisation.observation import Observation
+from fpplab.clouds import Cloud
+from fpplab.core import config
+from fpplab.core.depth import DepthRange
+from fpplab.core.errors import CalibrationError
+from fpplab.diagnosis.geometry import GeometryDoubt, SeenChange, in_words
+from fpplab.patterns.recording import Recording
+from fpplab.phase import Decoded, decode
+from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
+from fpplab.reconstruction.triangulation import CoordinateNoise
+from fpplab.reconstruction.uncertainty import calibration_jacobian, rigid_motions
+from fpplab.sessions.session import Session
+from fpplab.targets import Target
+
+DEPTH_MARGIN = 0.05
+"""How far marks may have moved, as a share of their depth, where fringe orders follow from it. Chosen."""
+
+CONFIRM = "take a pose of the board, and 'fpplab characterise --judge CALIBRATION POSE --confirm'"
+"""What settles an old calibration."""
+
+CORRECT = "correct the calibration by the marks: 'fpplab characterise --correct CALIBRATION SCAN --out NEW'"
+"""What settles a change that marks show."""
+
+
+@dataclass(frozen=True)
+class MarksVerdict:
+    """Whether reference marks verify a scan's geometry."""
+
+    verified: bool
+    change: SeenChange | None = None  # of the rig, where they show one
+    doubt: GeometryDoubt | None = None  # where they settle nothing
+    is_unexplained: bool = False  # whether they look different in a way that no change of the rig explains
+
+
+def marks_verdict(
+    observed: Observation, cloud: Cloud, noise: CoordinateNoise, calibration: Calibration, marks: LocatedMarks
+) -> MarksVerdict:
+    """Judge the geometry by what a change that the marks allow would displace the points by.
+
+    It is compared with the uncertainty that the calibration states for them anyway: what costs less is no
+    change that matters.
+    """
+    compared = compare_marks(calibration, marks, observed)
+    costs = _costs(cloud, calibration, noise, compared)
+    if compared.explained and all(cost.total_um <= cost.stated_um for cost in costs):
+        return MarksVerdict(True)
+    if not compared.explained:
+        reason = "the reference marks look different, and no change of place, lens or picture explains how"
+        return MarksVerdict(False, doubt=GeometryDoubt(reason, "characterise again"), is_unexplained=True)
+    worst = max(costs, key=lambda cost: cost.excess)
+    if compared.contradicted:
+        parts = [f"{name} ({100 * p:.0f} %)" for name, p in compared.probabilities.items() if p > 0.05]
+        sentence = (
+            f"the reference marks show a change of the rig: {worst.what} {in_words(worst.change_um)} off "
+            f"(stated: {in_words(worst.stated_um)}); probably {', '.join(parts)}"
+        )
+        return MarksVerdict(False, SeenChange(sentence, worst.excess, CORRECT))
+    reason = f"the reference marks leave open whether {worst.what} {in_words(worst.total_um)} off"
+    return MarksVerdict(False, doubt=GeometryDoubt(reason, f"show more of the marks, or {CONFIRM}"))
+
+
+def marks_in(
+    recording: Recording, decoded: Decoded, calibration: Calibration, marks: LocatedMarks
+) -> Observation:
+    """Find a calibration's reference marks in a scan."""
+    target = config.validate(marks.target, Target, "the calibration's marks")
+    if recording.depth is not None:  # which the marks may lie out of
+        depth_mm = triangulate_marks(calibration, marks)[:, 2]
+        interval = (1 - DEPTH_MARGIN) * float(depth_mm.min()), (1 + DEPTH_MARGIN) * float(depth_mm.max())
+        around = replace(recording, depth=DepthRange(interval, "the reference marks"))
+        decoded = decode(around, bounds=depth_bounds(recording.plan, calibration, around.depth))
+    observed = observe_marks(recording.name, recording.mean_image(), decoded, target)
+    if observed is None:
+        raise CalibrationError("none of the reference marks are in view")
+    return observed
+
+
+def locate_session_marks(session: Session, target: Target, calibration: Calibration) -> Calibration:
+    """Add reference marks to a calibration, as a session that was taken with it shows them."""
+    recording = session.recording()
+    calibration.check_camera(session.format[:2], session.path)
+    calibration.check_projector(*session.projector(), session.path)
+    name, image = session.path.name, recording.mean_image()
+    return replace(calibration, marks=locate_marks(name, image, decode(recording), target))
+
+
+def correct_by_marks(session: Session, calibration: Calibration, marks: LocatedMarks) -> Correction:
+    """Correct a calibration by how a scan shows its reference marks."""
+    recording = session.recording()
+    observed = marks_in(recording, decode(recording), calibration, marks)
+    compared = compare_marks(calibration, marks, observed)
+    if not compared.explained:
+        raise CalibrationError(
+            f"{session.path}: no change of place, lenses or pictures explains how the reference marks look; "
+            "characterise again"
+        )
+    target = config.validate(marks.target, Target, "the calibration's marks")
+    corrected = compared.corrected
+    if np.isfinite(observed.projector_px).all():
+        corrected = locate_session_marks(session, target, corrected)
+    return Correction(corrected, compared.probabilities, compared.as_characterised, compared.after)
+
+
+@dataclass(frozen=True)
+class _Cost:
+    """What a change does to the points, RMS, beside the uncertainty that is stated for them anyway."""
+
+    what: str
+    change_um: float  # by the change that is expected
+    open_um: float  # by what is open
+    stated_um: float
+
+    @property
+    def total_um(self) -> float:
+        return float(np.hypot(self.change_um, self.open_um))
+
+    @property
+    def excess(self) -> float:
+        return self.total_um / max(self.stated_um, 1e-3)
+
+
+def _costs(
+    cloud: Cloud, calibration: Calibration, noise: CoordinateNoise, compared: MarksComparison
+) -> tuple[_Cost, _Cost]:
+    """Compute the cost of a change for the points' places, and for their form."""
+    step = max(1, len(cloud) // LIMITS.hidden_change_points)
+    points = cloud.points[::step].astype(np.float64)
+    values, vectors = np.linalg.eigh(compared.covariance)
+    modes = np.column_stack([compared.change, vectors * np.sqrt(np.maximum(values, 0.0))])
+    moved = (calibration_jacobian(points, calibration, noise) @ modes).reshape(-1, modes.shape[1])
+    rigid = rigid_motions(points - points.mean(axis=0)).reshape(len(moved), 6)
+    deformed = moved - rigid @ np.linalg.lstsq(rigid, moved, rcond=None)[0]
+    costs = []
+    for what, displaced, sigma_mm in (
+        ("points are", moved, cloud.sigma_calibration_mm),
+        ("the form is", deformed, cloud.sigma_form_mm),
+    ):
+        change, *spread = 1e3 * np.sqrt(np.square(displaced).sum(axis=0) / len(points))
+        stated_um = 0.0 if sigma_mm is None else 1e3 * float(np.median(sigma_mm))
+        costs.append(_Cost(what, float(change), float(np.linalg.norm(spread)), stated_um))
+    return costs[0], costs[1]
