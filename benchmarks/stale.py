@@ -92,7 +92,7 @@ KINDS: dict[str, Change] = {
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedChange:
     """One scan with marks in view."""
 
     kind: str
@@ -112,7 +112,7 @@ class Judged:
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class MarkedRig:
     """A characterised rig with reference marks and a part."""
 
     rig: Rigged
@@ -123,7 +123,7 @@ class Bench:
     depth: Floats  # (height, width) of the part in mm, NaN beside it
 
     @classmethod
-    def drawn(cls, seed: int) -> Bench:
+    def drawn(cls, seed: int) -> MarkedRig:
         """Draw and characterise a rig."""
         rig, target = rigged(seed), Target.load("target_marks")
         calibration = _characterised(rig, seed, POSES)
@@ -139,7 +139,7 @@ class Bench:
         )
         return cls(rig, calibration, target, marks, located, np.where(hidden, np.nan, depth))
 
-    def judged(self, kind: str, size: float, axes: int, with_correction: bool) -> Judged:
+    def judged(self, kind: str, size: float, axes: int, with_correction: bool) -> JudgedChange:
         """Change the rig, scan, and judge."""
         now = KINDS[kind](self.rig.truth, size) if size else self.rig.truth
         true, exact = self._seen(now, axes, 0.0)
@@ -158,7 +158,7 @@ class Bench:
             new = compare_marks(stated, self.located, seen).corrected
             corrected = _errors(triangulate(exact, new, normals=False), true)[0]
         sigmas = [_rms(s) for s in (cloud.sigma_calibration_mm, cloud.sigma_form_mm) if s is not None]
-        return Judged(
+        return JudgedChange(
             kind, size, axes, place / sigmas[0], form / sigmas[1], verdict.verified and not told, told,
             told_without, corrected,
         )  # fmt: skip
@@ -237,9 +237,9 @@ def _rms(values: CloudPoints) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def judged_changes(seed: int) -> Iterator[Judged]:
+def judged_changes(seed: int) -> Iterator[JudgedChange]:
     """Judge each kind and size of change on one rig, and scans without a change."""
-    bench = Bench.drawn(seed)
+    bench = MarkedRig.drawn(seed)
     for axes in (1, 2):
         for _ in range(HEALTHY):
             yield bench.judged("baseline", 0.0, axes, False)
@@ -257,7 +257,7 @@ def run() -> list[Result]:
     return results_of([judged for seed in SEEDS for judged in judged_changes(seed)])
 
 
-def results_of(judged: list[Judged]) -> list[Result]:
+def results_of(judged: list[JudgedChange]) -> list[Result]:
     """Count what was called good and beyond, found and corrected."""
     healthy = [one.good for one in judged if not one.size]
     results = [above("scans without a change that are good", float(np.mean(healthy)), "", 1.0)]

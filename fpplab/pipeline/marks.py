@@ -24,7 +24,7 @@ from fpplab.core.errors import CalibrationError
 from fpplab.diagnosis.geometry import GeometryDoubt, SeenChange, in_words
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 from fpplab.reconstruction.triangulation import CoordinateNoise
 from fpplab.reconstruction.uncertainty import calibration_jacobian, rigid_motions
@@ -86,12 +86,16 @@ def marks_in(
     if recording.depth is not None:  # which the marks may lie out of
         depth_mm = triangulate_marks(calibration, marks)[:, 2]
         interval = (1 - DEPTH_MARGIN) * float(depth_mm.min()), (1 + DEPTH_MARGIN) * float(depth_mm.max())
-        around = replace(recording, depth=DepthRange(interval, "the reference marks"))
-        decoded = decode(around, bounds=depth_bounds(recording.plan, calibration, around.depth))
+        depth = DepthRange(interval, "the reference marks")
+        decoded = _decode(replace(recording, depth=depth), calibration)
     observed = observe_marks(recording.name, recording.mean_image(), decoded, target)
     if observed is None:
         raise CalibrationError("none of the reference marks are in view")
     return observed
+
+
+def _decode(recording: Recording, calibration: Calibration) -> Decoded:
+    return decode(recording, bounds=decoding_bounds(recording.plan, calibration, recording.depth))
 
 
 def locate_session_marks(session: Session, target: Target, calibration: Calibration) -> Calibration:
@@ -100,13 +104,13 @@ def locate_session_marks(session: Session, target: Target, calibration: Calibrat
     calibration.check_camera(session.format[:2], session.path)
     calibration.check_projector(*session.projector(), session.path)
     name, image = session.path.name, recording.mean_image()
-    return replace(calibration, marks=locate_marks(name, image, decode(recording), target))
+    return replace(calibration, marks=locate_marks(name, image, _decode(recording, calibration), target))
 
 
 def correct_by_marks(session: Session, calibration: Calibration, marks: LocatedMarks) -> Correction:
     """Correct a calibration by how a scan shows its reference marks."""
     recording = session.recording()
-    observed = marks_in(recording, decode(recording), calibration, marks)
+    observed = marks_in(recording, _decode(recording, calibration), calibration, marks)
     compared = compare_marks(calibration, marks, observed)
     if not compared.explained:
         raise CalibrationError(

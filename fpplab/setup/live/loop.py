@@ -113,6 +113,7 @@ class LiveSetUp:
             findings=measures.findings,
             geometry=self._geometry,
             noise_um=measures.noise_um,
+            marks=measures.marks,
             coverage=None if self._coverage is None else self._coverage.summary(),
             stage=self._stage,
             message=self._message,

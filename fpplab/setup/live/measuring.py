@@ -15,6 +15,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.setup.live.expectation import WorkingPoint
 from fpplab.setup.live.exposure import LightLevels, levels_of_fringes, levels_of_image
 from fpplab.setup.live.focus import FocusTracker, camera_sharpness, projector_contrast
+from fpplab.setup.live.marks import MarksInView, marks_in_view
 from fpplab.setup.live.patterns import LivePatterns, View
 
 
@@ -27,6 +28,7 @@ class LiveMeasures:
         self.findings: tuple[Finding, ...] = ()
         self.camera_focus, self.projector_focus = FocusTracker(), FocusTracker()
         self.noise_um: NDArray[np.float64] | None = None
+        self.marks: MarksInView | None = None
         self._view = View.MEASURE
         self._patterns: LivePatterns | None = None
         self._projector_size = (0, 0)
@@ -89,6 +91,7 @@ class LiveMeasures:
         self.projector_focus = self.projector_focus.after(projector_contrast(sample))
         if self.working is not None:
             self.noise_um = self.working.noise_um(sample) if sample.measured.any() else None
+            self.marks = marks_in_view(recording.mean_image(), self.working.geometry.calibration)
 
     def _sharpness(
         self, first_image: NDArray[np.generic], second_image: NDArray[np.generic], full_scale: int

@@ -11,6 +11,7 @@ from fpplab.devices import CameraSettings
 from fpplab.diagnosis import Finding
 from fpplab.setup.live.exposure import ExposureAdvice, LightLevels
 from fpplab.setup.live.focus import FocusTracker
+from fpplab.setup.live.marks import MarksInView
 from fpplab.setup.live.patterns import View
 
 
@@ -38,6 +39,7 @@ class LiveStatus:
     findings: tuple[Finding, ...] = ()  # what the fringes show to be wrong
     geometry: dict[str, object] | None = None  # overlap, distances and angle, with a calibration
     noise_um: Floats | None = None  # expected standard uncertainty by noise, by region, in µm
+    marks: MarksInView | None = None  # reference marks, with a calibration that has them
     coverage: dict[str, object] | None = None  # poses of the board, with a target
     stage: StageState | None = None  # where the stage is, if there is one
     message: str = ""  # result of the latest order
@@ -60,6 +62,7 @@ class LiveStatus:
             "focus": {"camera": self.camera_focus.summary(), "projector": self.projector_focus.summary()},
             "findings": [finding.summary() for finding in self.findings],
             "expected": expected,
+            "marks": None if self.marks is None else self.marks.summary(),
             "coverage": self.coverage,
             "stage": None if self.stage is None else self.stage.__dict__,
             "message": self.message,
@@ -85,6 +88,8 @@ class LiveStatus:
             parts.append(f"{name} focus " + ("–" if share is None else f"{100 * share:.0f} % of best"))
         if self.noise_um is not None and (noise := overall_median(self.noise_um)) is not None:
             parts.append(f"noise {noise:.3g} µm")
+        if self.marks is not None:
+            parts.append(self.marks.line)
         return " | ".join(parts)
 
 
