@@ -22,8 +22,14 @@ from fpplab.optimisation.study import Study
 from tests.support.searching import study
 
 RIG = "rig_demo_quick"
-SETS = [{"axis": "x", "stripes": s, "steps": 4} for s in (1, 6, 24)]
-COARSE, FINE = (Candidate(tuple(Fringes("x", s, 4) for s in (1, 6, finest)), 0.02) for finest in (24, 60))
+SETS = [
+    *({"axis": "x", "stripes": s, "steps": 4} for s in (1, 6, 24)),
+    {"axis": "y", "stripes": 64, "steps": 3},
+]
+COARSE, FINE = (
+    Candidate((*(Fringes("x", s, 4) for s in (1, 6, finest)), Fringes("y", 64, 3)), 0.02)
+    for finest in (24, 60)
+)
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +41,8 @@ def wanted(tmp_path_factory: pytest.TempPathFactory) -> Study:
         rig.simulation.image_part_sampler().calibration.save(file)
     return study(
         artefacts=["pyramid", "steps"],
-        start={"fringes": SETS, "exposure_s": 0.02, "filter": {}},
-        space={"stripes": [None, None, [16, 64]]},
+        start={"fringes": SETS, "guided_axis": "y", "exposure_s": 0.02, "filter": {}},
+        space={"stripes": [None, None, [16, 64], None]},
         calibrations=[{"file": str(file)}],
         method={"kind": "coordinate", "first": 0.5, "finest": 0.25},
         budget=3,
