@@ -208,7 +208,7 @@ def test_real_captures_are_characterised(captures: Path) -> None:
     assert found.separate_px["projector"] < 0.257
     assert found.separate_px["stereo"] < 0.302
     assert found.calibration.rms_px["camera"] < 0.075
-    assert found.calibration.rms_px["projector"] < 0.076
+    assert found.calibration.rms_px["projector"] < 0.08
     assert len(found.rejected) < 25
     assert any("camera's image: upper left, left, lower left" in w for w in found.warnings)
     assert found.leave_one_out_px is not None
