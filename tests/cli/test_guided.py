@@ -15,23 +15,27 @@ from tests.support.recordings import Recording
 @pytest.mark.parametrize(
     ("given", "why"),
     [
-        ((False, "20um", None, "r"), "--until goes with --guide"),
-        ((False, None, (400.0, 500.0), "r"), "--depth goes with --guide"),
-        ((True, "20um", None, None), "--guide takes poses one at a time, and needs --rig"),
-        ((True, "20", None, "r"), "--until is '20': its unit is missing"),
-        ((True, None, (500.0, 400.0), "r"), "--depth is 500 400: must be two rising positive distances"),
+        ((False, "20um", None, "r", None), "--until goes with --guide"),
+        ((False, None, (400.0, 500.0), "r", None), "--depth goes with --guide"),
+        ((True, "20um", None, None, None), "--guide takes poses one at a time, and needs --rig"),
+        ((True, "20", None, "r", None), "--until is '20': its unit is missing"),
+        (
+            (True, None, (500.0, 400.0), "r", None),
+            "--depth is 500 400: must be two rising positive distances",
+        ),
+        ((True, None, None, "r", Path("limits.yaml")), "--limits is for recorded poses"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(
-    given: tuple[bool, str | None, tuple[float, float] | None, str | None], why: str
+    given: tuple[bool, str | None, tuple[float, float] | None, str | None, Path | None], why: str
 ) -> None:
     with pytest.raises(ConfigError, match=why):
         wanted_mm(*given)
 
 
 def test_the_uncertainty_is_told_in_mm() -> None:
-    assert wanted_mm(True, "20um", None, "r") == pytest.approx(0.02)
-    assert wanted_mm(False, None, None, None) is None
+    assert wanted_mm(True, "20um", None, "r", None) == pytest.approx(0.02)
+    assert wanted_mm(False, None, None, None, None) is None
 
 
 @pytest.mark.whole

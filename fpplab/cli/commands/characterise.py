@@ -168,8 +168,8 @@ def characterise_command(
     those that the calibration predicts. The exit code is 5 where they contradict it. Otherwise `--confirm`
     records when, from which the rig file's `geometry: {max_age_h: ...}` counts.
 
-    With `--marks` the calibration keeps how camera and projector see reference marks (`fpplab target
-    target_marks`) that are fixed in view. Every scan that shows them is then verified by itself.
+    With `--marks` the calibration keeps how camera and projector see reference marks (`fpplab target marks`)
+    that are fixed in view. Every scan that shows them is then verified by itself.
 
     With `--correct` the calibration is brought up to date by one to three new poses, or by a scan that shows
     its reference marks, after a device was moved, refocused or its picture shifted: `probabilities` says what
@@ -212,12 +212,10 @@ def characterise_command(
     from fpplab.targets import Target
     from fpplab.workflows.characterise import CharacterisationRequest, run_characterisation
 
-    until_mm = wanted_mm(guide, until, depth, rig)
+    until_mm = wanted_mm(guide, until, depth, rig, limits)
     if target is None or out is None:
-        option = "--target" if target is None else "--out"
+        option = "--out" if target else "--target"
         raise ConfigError(missing_or_misplaced("fpplab characterise", option, list(map(str, recorded))))
-    if limits and guide:
-        raise ConfigError("--limits is for recorded poses: with --guide each pose is judged as it is taken")
     request = CharacterisationRequest(
         target=Target.load(target),
         out=out,
@@ -239,12 +237,11 @@ def characterise_command(
         marks_target=Target.load(marks_target) if marks else None,
     )
     observer = observe_characterisation(context, view, keep_open, out.with_suffix(".rrd"))
-    result = run_characterisation(request, observer)
-    console.print_result(result.summary(), json)
+    console.print_result(run_characterisation(request, observer).summary(), json)
 
 
 def wanted_mm(
-    guide: bool, until: str | None, depth_mm: DepthInterval | None, rig: str | None
+    guide: bool, until: str | None, depth_mm: DepthInterval | None, rig: str | None, limits: Path | None
 ) -> float | None:
     """Check the options that go with one another, and give the uncertainty that is asked for."""
     for option, value in (("--until", until), ("--depth", depth_mm)):
@@ -252,6 +249,8 @@ def wanted_mm(
             raise ConfigError(f"{option} goes with --guide, which asks for poses; add --guide")
     if guide and rig is None:
         raise ConfigError("--guide takes poses one at a time, and needs --rig to take them on")
+    if limits and guide:
+        raise ConfigError("--limits is for recorded poses: with --guide each pose is judged as it is taken")
     if depth_mm is not None and not 0 < depth_mm[0] < depth_mm[1]:
         raise ConfigError(
             f"--depth is {depth_mm[0]:g} {depth_mm[1]:g}: must be two rising positive distances in mm"
