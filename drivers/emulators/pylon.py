@@ -93,7 +93,7 @@ class EmulatedPylon(Pylon):
                 f"Failed to open device '{serial}' for XML file download. "
                 "Error: 'Device is exclusively opened by another client.' : RuntimeException thrown"
             )
-        return EmulatedCamera(self, serial, super().attach(info))
+        return self._camera(serial, super().attach(info))
 
     def pulse(self, times: int = 1, rise_s: float | None = None) -> None:
         """Send trigger pulses to Line1 of the camera that was opened last; any thread may call it."""
@@ -121,6 +121,10 @@ class EmulatedPylon(Pylon):
 
     def _layer(self) -> Any:
         return pylon.TlFactory.GetInstance().CreateTl("BaslerCamEmu")
+
+    def _camera(self, serial: str, instant: Any) -> EmulatedCamera:
+        """Make the camera, of another class where a subclass wants it."""
+        return EmulatedCamera(self, serial, instant)
 
     def on_opened(self, camera: EmulatedCamera) -> None:
         """Configure pylon's emulator for this sensor; called by a camera that was opened."""

@@ -23,7 +23,7 @@ from sim.build import NOTHING, SceneState
 from sim.items import item_surface
 from sim.light import Light, PatternLevels, ShownPattern
 from sim.light.background import Background
-from sim.surroundings import surroundings_surface
+from sim.surroundings import surroundings_surfaces
 from sim.twin import Twin
 from sim.worker import Blender
 from sim.world import World
@@ -253,8 +253,8 @@ def test_a_picture_lies_on_the_wall_as_the_camera_sees_it(axis: int, tmp_path: P
     mesh.subdivide_to_size(10.0).export(tmp_path / "wall.ply")  # within a triangle perspective is left out
     greys = np.rint(20 + 230 * places / places.max()).astype(np.uint8)
     Pillow.fromarray(greys).save(tmp_path / "wall.png")
-    around = surroundings_surface(of)
-    assert around is not None
+    around = surroundings_surfaces(of)
+    assert around
     seen = Background(of, around).albedo(SceneState("nothing"))
     inside = slice(3, -3), slice(3, -3)
     np.testing.assert_allclose(seen[inside], 0.5 * greys[inside] / 255, atol=0.004)

@@ -93,7 +93,7 @@ def test_points_of_a_charuco_board_are_those_of_its_model() -> None:
         (CORNERS, {"size_mm": [100, 59]}, "60 mm high"),
         (CIRCLES, {"diameter_mm": 5.4, "size_mm": [70, 50]}, "touch"),
         (CIRCLES, {"diameter_mm": None}, "'diameter_mm' is missing"),
-        (CORNERS, {"diameter_mm": 3}, "'diameter_mm' belongs to kind circles"),
+        (CORNERS, {"diameter_mm": 3}, "'diameter_mm' belongs to kind marks or circles"),
         (CORNERS, {"counts": [7, 7]}, "must differ"),
         (CORNERS, {"counts": [7, 2]}, "at least 3"),
         (CORNERS, {"spacing_mm": [10, 9]}, "the same along x and y"),
