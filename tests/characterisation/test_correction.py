@@ -61,7 +61,7 @@ def test_a_change_is_corrected_nearly_as_by_a_new_characterisation(
 @pytest.mark.whole
 def test_what_changed_is_told_where_the_poses_tell(found: Characterisation) -> None:
     zoomed = changed_rigs(TRUE)["the lens of the projector zoomed by 0.4 %"]
-    corrected = correct(found.calibration, seen_by(zoomed, 2, seed=21))
+    corrected = correct(found.calibration, seen_by(zoomed, 3, seed=21))
     chances = corrected.probabilities
     assert chances["projector's lens or picture changed"] > 0.99
     assert max(chances["projector or camera moved"], chances["camera's lens or picture changed"]) < 0.05
