@@ -19,7 +19,7 @@ def target_command(
         str,
         typer.Argument(
             metavar="TARGET",
-            help="Target file, or the name of one that comes with fpplab; `marks` for reference marks.",
+            help="Target file, or the name of one that comes with fpplab.",
             autocompletion=names_of("target"),
         ),
     ],
