@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +21,10 @@ from benchmarks.guided_characterisation import PROJECTOR_PX, Rigged, rigged, ung
 from fpplab.calibration.marks import LocatedMarks
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, characterise
+from fpplab.characterisation.displacement import without_motion
 from fpplab.characterisation.marks import compare_marks
 from fpplab.characterisation.parameters import DistortionModel
 from fpplab.clouds import Cloud
-from fpplab.clouds.cloud import CloudPoints
 from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
@@ -33,8 +34,9 @@ from fpplab.phase import Decoded
 from fpplab.pipeline.marks import marks_verdict
 from fpplab.reconstruction.points import triangulate
 from fpplab.reconstruction.triangulation import camera_slopes, coordinate_noise
-from fpplab.reconstruction.uncertainty import rigid_motions, with_uncertainty
+from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.targets import Target
+from fpplab.targets.kinds.marks import ReferenceMarks
 
 SEEDS = range(7100, 7105)
 """Of the rigs that judge; development used those below 100."""
@@ -122,7 +124,7 @@ class MarkedRig:
 
     rig: Rigged
     calibration: Calibration
-    target: Target
+    layout: ReferenceMarks
     marks: Floats  # (P, 3) true points of all marks in mm
     located: LocatedMarks
     depth: Floats  # (height, width) of the part in mm, NaN beside it
@@ -142,7 +144,8 @@ class MarkedRig:
         hidden |= ((np.arange(width) % PIXEL_STEP)[None] > 0) | (
             (np.arange(height) % PIXEL_STEP)[:, None] > 0
         )
-        return cls(rig, calibration, target, marks, located, np.where(hidden, np.nan, depth))
+        assert isinstance(target.layout, ReferenceMarks)
+        return cls(rig, calibration, target.layout, marks, located, np.where(hidden, np.nan, depth))
 
     def judged(self, kind: str, size: float, axes: int, with_correction: bool) -> JudgedChange:
         """Change the rig, scan, and judge."""
@@ -154,8 +157,9 @@ class MarkedRig:
         place, form = _errors(triangulate(exact, stated, normals=False), true)
         off = systematic_epipolar_px(cloud)
         told_without = off is not None and off > StaleCalibrationLimits().max_epipolar_px
-        shown = np.flatnonzero(self.rig.random.random(len(self.marks) // 4) > HIDDEN_MARKS)
-        seen = _observed(self.rig, now, self.marks, "scan", axes, self._points_of(shown))
+        circles = self.layout.circles()
+        shown = circles[self.rig.random.random(len(circles)) > HIDDEN_MARKS].ravel()
+        seen = _observed(self.rig, now, self.marks, "scan", axes, shown)
         verdict = marks_verdict(seen, cloud, noise, stated, self.located)
         told = told_without or verdict.change is not None
         corrected = np.nan
@@ -174,12 +178,6 @@ class MarkedRig:
         true, exact = self._seen(now, axes, 0.0)
         anew = _characterised(replace(self.rig, truth=now), seed, NEW_POSES)
         return _errors(triangulate(exact, anew, normals=False), true)[0]
-
-    def _points_of(self, marks: NDArray[np.intp]) -> NDArray[np.intp]:
-        columns = self.target.counts[0]
-        across = columns // 2
-        first = 2 * (columns * (marks // across) + marks % across)
-        return np.sort((first[:, None] + [0, 1, columns, columns + 1]).ravel())
 
     def _seen(self, now: Calibration, axes: int, noise_px: float) -> tuple[Floats, Decoded]:
         """True points (height, width, 3) of the part, and what decoding gives of them."""
@@ -229,16 +227,17 @@ def _errors(cloud: Cloud, true: Floats) -> tuple[float, float]:
     u, v = cloud.pixels.T
     at = true[v, u]
     off = cloud.points.astype(np.float64) - at
-    rigid = rigid_motions(at - at.mean(axis=0)).reshape(-1, 6)
-    deformed = off.ravel() - rigid @ np.linalg.lstsq(rigid, off.ravel(), rcond=None)[0]
-    return float(np.sqrt(np.square(off).sum(axis=1).mean())), float(np.sqrt(3 * np.square(deformed).mean()))
+    form = without_motion(off.reshape(-1, 1), at).reshape(-1, 3)
+    return float(np.sqrt(np.square(off).sum(axis=1).mean())), float(
+        np.sqrt(np.square(form).sum(axis=1).mean())
+    )
 
 
 def _share(told: list[bool]) -> float:
     return float(np.mean(told))
 
 
-def _rms(values: CloudPoints) -> float:
+def _rms(values: NDArray[Any]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -282,6 +281,6 @@ def results_of(judged: list[JudgedChange]) -> list[Result]:
             ),
             above(f"{name}: errors over twice those stated, told", _share([o.told for o in clear]), "", 0.95),
             above(f"{name}: the same without marks", _share([o.told_without for o in clear]), "", 0.01),
-            below(f"{name}: corrected over characterised anew", _rms(np.array(ratios, np.float32)), "", 1.2),
+            below(f"{name}: corrected over characterised anew", _rms(np.array(ratios)), "", 1.2),
         ]
     return results

@@ -18,6 +18,13 @@ def error_modes(uncertainty: Uncertainty) -> Floats:
     return np.asarray(scale[:, None] * directions * np.sqrt(np.maximum(variances, 0.0)))
 
 
+def covariance_root(covariance: Floats) -> Floats:
+    """Compute a factor F of a covariance, F F' = covariance, also where some numbers are exact."""
+    # covariance (n, n); returns (n, n)
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
 def chi_square(uncertainty: Uncertainty, differences: Floats) -> float:
     """Compute χ² of differences of the parameters: n on average where the covariance holds."""
     # differences (n,)

@@ -258,17 +258,8 @@ def _quantities(
     found = {}
     for name, row in zip(names, np.eye(len(names)), strict=True):
         term = name.rpartition(".")[2]
-        is_angle = term in ("rx", "ry", "rz")
-        unit = (
-            "deg"
-            if is_angle
-            else "px"
-            if term in ("fx", "fy", "cx", "cy")
-            else "mm"
-            if len(term) == 1
-            else ""
-        )
-        found[name] = unit, np.degrees(row) if is_angle else row
+        unit = next((unit for unit, terms in UNITS.items() if term in terms), "")
+        found[name] = unit, np.degrees(row) if unit == "deg" else row
     translation = calibration.T_projector_camera.translation
     baseline = np.append(np.zeros(len(names) - 3), translation / calibration.baseline_mm)
     found["baseline"] = "mm", baseline

@@ -24,6 +24,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from fpplab.calibration.board import FittedBoard, FittedErrors
+from fpplab.calibration.error_modes import covariance_root
 from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.outliers import reject_points, rejectable_points
@@ -196,8 +197,7 @@ class CalibrationAsFitted:
         order = [uncertainty.names.index(name) for name in names]
         exact = cls(devices, fitted.errors, levels[0], np.zeros((len(names), 0)))
         covariance = uncertainty.covariance[np.ix_(order, order)] - np.outer(exact.longer, exact.longer)
-        values, vectors = np.linalg.eigh(covariance)
-        return replace(exact, factor=vectors * np.sqrt(np.maximum(values, 0.0)))
+        return replace(exact, factor=covariance_root(covariance))
 
     @property
     def longer(self) -> Floats:

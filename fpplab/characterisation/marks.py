@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fpplab.calibration.board import FittedErrors
+from fpplab.calibration.error_modes import covariance_root
 from fpplab.calibration.marks import LocatedMarks
 from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.characterisation.correction import estimate_change, with_parameters
@@ -98,30 +99,26 @@ def locate_marks(name: str, image: NDArray[Any], decoded: Decoded, target: Targe
 
 def compare_marks(calibration: Calibration, marks: LocatedMarks, seen: Observation) -> MarksComparison:
     """Compare reference marks with how they looked when the rig was characterised."""
-    known, now = _as_board(calibration, marks), _without_misfit(calibration, marks, seen)
-    now = _agreeing(known, now)
+    fitted = CalibrationAsFitted.of(calibration, "the calibration")
+    known = _as_board(fitted, calibration, marks)
+    now = _agreeing(known, _without_misfit(known, calibration, marks, seen))
     change = estimate_change(calibration, known, [now])
-    errors = _errors_of_marks(known.with_parameters(change.parameters), now)
-    known = replace(known, errors=errors)
+    known = replace(known, errors=_errors_of_marks(known.with_parameters(change.parameters), now))
     change = estimate_change(calibration, known, [now])
-    n = len(change.parameters)
-    values, vectors = np.linalg.eigh(change.covariance)
-    factor = vectors * np.sqrt(np.maximum(values, 0.0))
-    before, at = CalibrationAsFitted.of(calibration, "").factor, known.with_parameters(change.parameters)
-    after = judge_as_fitted(replace(at, factor=factor), [now])
+    at = known.with_parameters(change.parameters)
     places = [PARAMETERS.index(name) for name in parameter_names(known.level)]
     whole, covariance = np.zeros(len(PARAMETERS)), np.zeros((len(PARAMETERS), len(PARAMETERS)))
     whole[places], covariance[np.ix_(places, places)] = (
         change.parameters - known.parameters(),
         change.covariance,
     )
-    updated = change.covariance + before @ before.T + np.outer(at.longer, at.longer)
+    updated = change.covariance + fitted.factor @ fitted.factor.T + np.outer(at.longer, at.longer)
     return MarksComparison(
-        judge_as_fitted(replace(known, factor=np.zeros((n, n))), [now]),
+        judge_as_fitted(known, [now]),
         whole,
         covariance,
         change.probabilities,
-        after,
+        judge_as_fitted(replace(at, factor=covariance_root(change.covariance)), [now]),
         with_parameters(calibration, at, updated),
     )
 
@@ -139,9 +136,10 @@ def triangulate_marks(calibration: Calibration, marks: LocatedMarks) -> Floats:
     return np.asarray((points[:3] / points[3]).T, np.float64)
 
 
-def _as_board(calibration: Calibration, marks: LocatedMarks) -> CalibrationAsFitted:
+def _as_board(
+    known: CalibrationAsFitted, calibration: Calibration, marks: LocatedMarks
+) -> CalibrationAsFitted:
     """Take the marks as the board that a calibration, which is exact here, is judged by."""
-    known = CalibrationAsFitted.of(calibration, "the calibration")
     points = np.full((marks.ids.max() + 1, 3), np.nan)
     points[marks.ids] = triangulate_marks(calibration, marks)
     both = {
@@ -155,7 +153,9 @@ def _as_board(calibration: Calibration, marks: LocatedMarks) -> CalibrationAsFit
     )
 
 
-def _without_misfit(calibration: Calibration, marks: LocatedMarks, seen: Observation) -> Observation:
+def _without_misfit(
+    known: CalibrationAsFitted, calibration: Calibration, marks: LocatedMarks, seen: Observation
+) -> Observation:
     """Take off how far the points were seen from where they were triangulated, which recurs."""
     common, then, now = np.intersect1d(marks.ids, seen.ids, return_indices=True)
     if len(common) < TARGET_LIMITS.min_points:
@@ -163,7 +163,7 @@ def _without_misfit(calibration: Calibration, marks: LocatedMarks, seen: Observa
             f"{seen.name}: {len(common)} points of the reference marks are in view "
             f"(at least {TARGET_LIMITS.min_points})"
         )
-    points, pose = triangulate_marks(calibration, marks)[then], calibration.T_projector_camera
+    points, pose = known.devices.board[common], calibration.T_projector_camera
     camera = marks.camera_px[then] - calibration.camera.project(points)
     projector = marks.projector_px[then] - calibration.projector.project(points, pose)
     return Observation(seen.name, common, seen.camera_px[now] - camera, seen.projector_px[now] - projector)
@@ -182,7 +182,8 @@ def _agreeing(known: CalibrationAsFitted, now: Observation) -> Observation:
     weights = np.ones(len(x))
     for _ in range(ROBUST_ROUNDS):
         smooth, *_ = np.linalg.lstsq(terms * weights[:, None], off * weights[:, None], rcond=1e-6)
-        sizes = np.abs(off - terms @ smooth) / [max(robust_spread(c), 1.0) for c in (off - terms @ smooth).T]
+        rest = off - terms @ smooth
+        sizes = np.abs(rest) / [robust_spread(column, 1.0) for column in rest.T]
         weights = np.sqrt(1.0 / np.maximum(sizes.max(axis=1), 1.0))
     kept = sizes.max(axis=1) < USUAL_LIMITS.max_residual_sigmas
     return Observation(now.name, now.ids[kept], now.camera_px[kept], now.projector_px[kept])

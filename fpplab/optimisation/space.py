@@ -129,9 +129,8 @@ def _template_candidate(problem: SearchProblem, source: str) -> Candidate:
         check_unwrapping(plan, source)  # a guided one is checked where the calibration is known
     if any(f != Sinusoid(axis=f.axis, stripes=f.stripes, steps=f.images) for f in plan.fringes):
         raise ConfigError(f"{source}: 'start' has fringes of imported images, which no rig projects")
-    if len(plan.unwrapped_axes if space.sets and not space.axis else plan.axes) > 1 and (
-        space.sets or space.axis
-    ):
+    searched = plan.axes if space.axis else plan.unwrapped_axes
+    if (space.sets or space.axis) and len(searched) > 1:
         raise ConfigError(f"{source}: 'space' searches sets or axis, and 'start' has fringes along both axes")
     fringes = [Fringes(f.axis, f.stripes, f.images) for f in plan.fringes]
     count = space.sets[1] if space.sets else len(fringes)

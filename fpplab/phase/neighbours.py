@@ -170,9 +170,8 @@ class _PhasesInTiles:
         per_power = _inner(self.noise.variance(self.fitted[0]) / np.square(self.modulation))[self.used]
         noise = _SQUARE_OF_BEND * 2.0 / len(self.levels) * float(per_power.mean())
         scatter = max(nearest, far) / noise
-        return (
-            scatter if scatter < NEIGHBOURS.max_scatter else 1.0
-        )  # a rough surface, or images without noise
+        # Beyond the limit it is a rough surface, or images without noise.
+        return scatter if scatter < NEIGHBOURS.max_scatter else 1.0
 
     def _mean_square_bend(self, apart: int, strengths: Floats, shapes: Floats) -> float:
         """Mean square of the second differences of pixels some px apart, beyond edges and ripple."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from datetime import timedelta
 
-import numpy as np
-
 from fpplab.calibration.marks import LocatedMarks
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
@@ -16,7 +14,7 @@ from fpplab.diagnosis.geometry import GeometryCheck, GeometryDoubt
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
-from fpplab.pipeline.marks import CONFIRM, MarksVerdict, marks_in, marks_verdict
+from fpplab.pipeline.marks import CONFIRM, MarksVerdict, marks_in, marks_verdict, stated_um
 from fpplab.reconstruction.hidden_changes import hidden_changes
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.sessions.origin import check_region, foreign_calibration, taken_at
@@ -44,10 +42,9 @@ def geometry_check(
     if doubt is not None and not (marks and (marks.verified or marks.change)):
         noticed_px = max_epipolar_px(limits, decoded)
         changes = hidden_changes(cloud, calibration, coordinate_noise(decoded), noticed_px)
-        sigma_mm = cloud.sigma_calibration_mm
-        stated_um = 0.0 if sigma_mm is None else 1e3 * float(np.median(sigma_mm))
+        certain_um = stated_um(cloud.sigma_calibration_mm)
         costs = [(change.meaning, change.displacement_um) for change in changes[:SHOWN_CHANGES]]
-        hidden = tuple((what, um) for what, um in costs if um > stated_um)
+        hidden = tuple((what, um) for what, um in costs if um > certain_um)
     seen = marks is not None and marks.verified
     return GeometryCheck(
         doubt,

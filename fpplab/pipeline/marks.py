@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fpplab.calibration.error_modes import covariance_root
 from fpplab.calibration.marks import LocatedMarks
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Correction
+from fpplab.characterisation.displacement import without_motion
 from fpplab.characterisation.marks import (
     MarksComparison,
     compare_marks,
@@ -18,6 +20,7 @@ from fpplab.characterisation.marks import (
 )
 from fpplab.characterisation.observation import Observation
 from fpplab.clouds import Cloud
+from fpplab.clouds.cloud import CloudPoints
 from fpplab.core import config
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import CalibrationError
@@ -25,9 +28,9 @@ from fpplab.diagnosis.geometry import GeometryDoubt, SeenChange, in_words
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.depth_range import decoding_bounds
-from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
+from fpplab.reconstruction.hidden_changes import sampled_points
 from fpplab.reconstruction.triangulation import CoordinateNoise
-from fpplab.reconstruction.uncertainty import calibration_jacobian, rigid_motions
+from fpplab.reconstruction.uncertainty import calibration_jacobian
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 
@@ -117,11 +120,16 @@ def correct_by_marks(session: Session, calibration: Calibration, marks: LocatedM
             f"{session.path}: no change of place, lenses or pictures explains how the reference marks look; "
             "characterise again"
         )
-    target = config.validate(marks.target, Target, "the calibration's marks")
     corrected = compared.corrected
     if np.isfinite(observed.projector_px).all():
-        corrected = locate_session_marks(session, target, corrected)
+        now = LocatedMarks(marks.target, observed.ids, observed.camera_px, observed.projector_px)
+        corrected = replace(corrected, marks=now)
     return Correction(corrected, compared.probabilities, compared.as_characterised, compared.after)
+
+
+def stated_um(sigma_mm: CloudPoints | None) -> float:
+    """Give the median of a stated uncertainty, 0 where none is."""
+    return 0.0 if sigma_mm is None else 1e3 * float(np.median(sigma_mm))
 
 
 @dataclass(frozen=True)
@@ -144,21 +152,16 @@ class _Cost:
 
 def _costs(
     cloud: Cloud, calibration: Calibration, noise: CoordinateNoise, compared: MarksComparison
-) -> tuple[_Cost, _Cost]:
+) -> list[_Cost]:
     """Compute the cost of a change for the points' places, and for their form."""
-    step = max(1, len(cloud) // LIMITS.hidden_change_points)
-    points = cloud.points[::step].astype(np.float64)
-    values, vectors = np.linalg.eigh(compared.covariance)
-    modes = np.column_stack([compared.change, vectors * np.sqrt(np.maximum(values, 0.0))])
+    points = sampled_points(cloud)
+    modes = np.column_stack([compared.change, covariance_root(compared.covariance)])
     moved = (calibration_jacobian(points, calibration, noise) @ modes).reshape(-1, modes.shape[1])
-    rigid = rigid_motions(points - points.mean(axis=0)).reshape(len(moved), 6)
-    deformed = moved - rigid @ np.linalg.lstsq(rigid, moved, rcond=None)[0]
     costs = []
     for what, displaced, sigma_mm in (
         ("points are", moved, cloud.sigma_calibration_mm),
-        ("the form is", deformed, cloud.sigma_form_mm),
+        ("the form is", without_motion(moved, points), cloud.sigma_form_mm),
     ):
         change, *spread = 1e3 * np.sqrt(np.square(displaced).sum(axis=0) / len(points))
-        stated_um = 0.0 if sigma_mm is None else 1e3 * float(np.median(sigma_mm))
-        costs.append(_Cost(what, float(change), float(np.linalg.norm(spread)), stated_um))
-    return costs[0], costs[1]
+        costs.append(_Cost(what, float(change), float(np.linalg.norm(spread)), stated_um(sigma_mm)))
+    return costs

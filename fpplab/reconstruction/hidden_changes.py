@@ -30,13 +30,19 @@ class HiddenChange:
     displacement_um: float  # RMS over the points, of as much of it as can have happened unseen
 
 
+def sampled_points(cloud: Cloud) -> Floats:
+    """Take some of a cloud's points, which suffice for root mean squares of what varies slowly."""
+    # returns (N, 3) mm
+    step = max(1, len(cloud) // LIMITS.hidden_change_points)
+    return cloud.points[::step].astype(np.float64)
+
+
 def hidden_changes(
     cloud: Cloud, calibration: Calibration, noise: CoordinateNoise, epipolar_limit_px: float
 ) -> tuple[HiddenChange, ...]:
     """Compute what changes of each kind may have displaced the points by, the greatest first."""
     # `epipolar_limit_px` is the systematic distance from the epipolar lines at which a change is noticed.
-    step = max(1, len(cloud) // LIMITS.hidden_change_points)
-    points = cloud.points[::step].astype(np.float64)
+    points = sampled_points(cloud)
     changed = changed_rigs(calibration)
     changes = np.stack(
         [parameter_vector(rig) - parameter_vector(calibration) for rig in changed.values()], axis=1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -51,7 +52,7 @@ class Bench:
         assert done.code == 0, done.err
         return out
 
-    def judged(self, scan: Path, calibration: Path) -> dict[str, object]:
+    def judged(self, scan: Path, calibration: Path) -> dict[str, Any]:
         out = self.folder / "cloud.ply"
         done = self.fpplab(
             "reconstruct", scan, "--calibration", calibration, "--out", out, "--json", "--force"
@@ -82,7 +83,7 @@ def test_a_turned_projector_is_shown_and_corrected(bench: Bench) -> None:
     scan, new = bench.scan("turned", turned_deg=0.1), bench.folder / "corrected.yaml"
     judged = bench.judged(scan, bench.calibration)
     assert judged["verdict"] == "useless"
-    (finding,) = judged["findings"]  # type: ignore[misc]
+    (finding,) = judged["findings"]
     assert finding["cause"] == "stale_calibration"
     assert "projector or camera moved" in finding["evidence"]
     done = bench.fpplab("characterise", "--correct", bench.calibration, scan, "--out", new, "--json")

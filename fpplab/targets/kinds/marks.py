@@ -44,7 +44,7 @@ class ReferenceMarks(BoardLayout):
         """Check the marks; see `BoardLayout.check`."""
         if self.counts[0] % 2 or self.counts[1] % 2:
             raise ValueError(f"'counts' is {list(self.counts)}: must be even, two by two circles are a mark")
-        if (marks := len(self._circles())) > (available := markers_in(self.dictionary)):
+        if (marks := len(self.circles())) > (available := markers_in(self.dictionary)):
             raise ValueError(f"'dictionary' has {available} markers and the board {marks} marks")
         if self._room() < (widest := (0.5 + LIMITS.circle_rim) * self.diameter_mm):
             raise ValueError(
@@ -68,14 +68,14 @@ class ReferenceMarks(BoardLayout):
         points, dictionary = self.points()[:, :2], load_dictionary(self.dictionary)
         for x, y in points:
             yield InkDisc(x, y, self.diameter_mm / 2)
-        for marker, circles in enumerate(self._circles()):
+        for marker, circles in enumerate(self.circles()):
             left, top = points[circles].mean(axis=0) - 0.5 * self.marker_mm
             yield from draw_marker(dictionary, marker, left, top, self.marker_mm)
 
     def summary(self) -> str:
         """Describe the marks for the legend of a printed page."""
         return (
-            f"{len(self._circles())} reference marks of four circles of {self.diameter_mm:g} mm, markers of "
+            f"{len(self.circles())} reference marks of four circles of {self.diameter_mm:g} mm, markers of "
             f"{self.marker_mm:g} mm, dictionary {self.dictionary}; may be cut apart, never reprinted in place"
         )
 
@@ -91,7 +91,7 @@ class ReferenceMarks(BoardLayout):
         corners, markers, _ = detector.detectMarkers(grey if self.background > self.foreground else ~grey)
         if markers is None:
             return None
-        points, marks = self.points()[:, :2], self._circles()
+        points, marks = self.points()[:, :2], self.circles()
         half = 0.5 * self.marker_mm * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         ids, pixels = [], []
         for image, marker in zip(corners, markers.ravel(), strict=True):
@@ -123,12 +123,12 @@ class ReferenceMarks(BoardLayout):
 
     def _seen_marks(self, located: Detection) -> Iterator[tuple[NDArray[np.intp], Floats]]:
         """List the rows (4,) of each mark whose circles are all there, with its homography (3, 3)."""
-        for circles in self._circles():
+        for circles in self.circles():
             rows = np.flatnonzero(np.isin(located.ids, circles))
             if len(rows) == CIRCLES:
                 yield rows, homography(self, Detection(located.ids[rows], located.pixels[rows]))
 
-    def _circles(self) -> NDArray[np.intp]:
+    def circles(self) -> NDArray[np.intp]:
         """List the circles of each mark, (M, 4)."""
         columns, rows = self.counts
         first = 2 * (columns * np.arange(rows // 2)[:, None] + np.arange(columns // 2)).reshape(-1, 1)
