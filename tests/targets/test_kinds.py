@@ -58,5 +58,6 @@ def test_a_module_in_the_package_is_a_kind_of_target_file(tmp_path: Path) -> Non
         "True",
         "board.yaml: 'shift' is missing; kind shifted needs it",
         "board.yaml: 'shift' belongs to kind shifted, not to circles",
-        "board.yaml: 'kind' is 'stars': should be 'shifted', 'circles', 'checkerboard' or 'charuco'",
+        "board.yaml: 'kind' is 'stars': should be 'shifted', 'marks', 'circles', 'checkerboard' or "
+        "'charuco'; did you mean 'marks'?",
     ]
