@@ -10,6 +10,7 @@ from fpplab.results.observer import Observer
 
 if TYPE_CHECKING:
     from fpplab.results.characterisation import CorrectionResult
+    from fpplab.targets import Target
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,9 @@ class CorrectionRequest:
     sessions: tuple[Path, ...]  # one per pose, or the folder that holds them
     out: Path
     force: bool = False  # whether existing files are replaced
+    marks: tuple[Path, Target] | None = (
+        None  # session that shows reference marks, and what is printed on them
+    )
 
     @property
     def page(self) -> Path:
@@ -30,7 +34,7 @@ def run_correction(request: CorrectionRequest, observer: Observer | None = None)
     """Find what has changed since a calibration was made, and write the corrected one and a report."""
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import refuse_existing, removed_on_failure
-    from fpplab.pipeline import correct_by_sessions
+    from fpplab.pipeline import correct_by_sessions, locate_session_marks
     from fpplab.report.characterisation import write_judgement_report
     from fpplab.results.characterisation import CorrectionResult, JudgementResult
     from fpplab.results.provenance import poses_provenance
@@ -47,6 +51,14 @@ def run_correction(request: CorrectionRequest, observer: Observer | None = None)
     for reason in correction.after.left_out.values():
         observer.message(f"left out: {reason}")
     corrected = replace(correction.calibration, origin=calibration_origin(sessions))
+    if request.marks is not None:
+        (seen,) = recorded_sessions([request.marks[0]])
+        corrected = locate_session_marks(seen, request.marks[1], corrected)
+    elif calibration.marks is not None and corrected.marks is None:
+        observer.message(
+            "the corrected calibration has no reference marks; add '--marks SCAN', which shows them with "
+            "fringes along x and y"
+        )
     correction = replace(correction, calibration=corrected)
     provenance = poses_provenance(sessions, corrected, request.out)
     judged = JudgementResult(correction.after, provenance, request.page)

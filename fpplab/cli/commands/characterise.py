@@ -169,7 +169,8 @@ def characterise_command(
     records when, from which the rig file's `geometry: {max_age_h: ...}` counts.
 
     With `--marks` the calibration keeps how camera and projector see reference marks (`fpplab target marks`)
-    that are fixed in view. Every scan that shows them is then verified by itself.
+    that are fixed in view. Every scan that shows them is then verified by itself. With `--correct` as well
+    the corrected calibration keeps them, as this session shows them.
 
     With `--correct` the calibration is brought up to date by one to three new poses, or by a scan that shows
     its reference marks, after a device was moved, refocused or its picture shifted: `probabilities` says what
@@ -196,7 +197,8 @@ def characterise_command(
         _combine(recorded, out, force, json, {**unused, "--judge": judged, "--correct": corrected})
         return
     if corrected:
-        _correct(corrected, recorded, out, force, json, unused)
+        shown = (marks, marks_target) if marks else None
+        _correct(corrected, recorded, shown, out, force, json, {**unused, "--marks": None})
         return
     if judged:
         _judge(judged, recorded, out, force, confirm, json, unused)
@@ -282,12 +284,14 @@ def point_list_source(
 def _correct(
     path: Path,
     sessions: tuple[Path, ...],
+    marks: tuple[Path, str] | None,
     out: Path | None,
     force: bool,
     json: bool,
     unused: Mapping[str, object],
 ) -> None:
     """Correct a calibration by sessions of a few poses of its board."""
+    from fpplab.targets import Target
     from fpplab.workflows.correct import CorrectionRequest, run_correction
 
     _refuse_unused("--correct", unused)
@@ -295,7 +299,9 @@ def _correct(
         raise ConfigError("--correct needs sessions, one per pose, or the folder that holds them")
     if out is None:
         raise ConfigError("--correct needs --out, where the corrected calibration goes")
-    result = run_correction(CorrectionRequest(path, sessions, out, force), ConsoleObserver())
+    located = (marks[0], Target.load(marks[1])) if marks else None
+    request = CorrectionRequest(path, sessions, out, force, located)
+    result = run_correction(request, ConsoleObserver())
     console.print_result(result.summary(), json, lambda: _show_correction(result.correction))
 
 
