@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from datetime import timedelta
 
-from fpplab.calibration.marks import LocatedMarks
+import numpy as np
+
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.core.errors import CalibrationError
 from fpplab.devices.rig import GeometrySection
 from fpplab.diagnosis.causes.stale_calibration import max_epipolar_px
 from fpplab.diagnosis.geometry import GeometryCheck, GeometryDoubt
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
-from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
-from fpplab.pipeline.marks import CONFIRM, MarksVerdict, marks_in, marks_verdict, stated_um
+from fpplab.pipeline.marks import CONFIRM, MarksVerdict, SeenMarks, marks_verdict
 from fpplab.reconstruction.hidden_changes import hidden_changes
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.sessions.origin import check_region, foreign_calibration, taken_at
@@ -26,23 +25,28 @@ SHOWN_CHANGES = 5
 
 def geometry_check(
     session: Session,
-    recording: Recording,
     decoded: Decoded,
     cloud: Cloud,
     calibration: Calibration,
+    seen_marks: SeenMarks,
     limits: DiagnosisLimits = USUAL_LIMITS,
 ) -> GeometryCheck:
     """Collect what speaks for and against the calibration's being that of the rig at this scan."""
-    doubt, marks = why_unverified(session, calibration), None
-    if calibration.marks is not None:
-        marks = _seen_marks(recording, decoded, cloud, calibration, calibration.marks)
+    doubt, marks, noise = why_unverified(session, calibration), None, coordinate_noise(decoded)
+    if seen_marks is not None:
+        marks = (
+            MarksVerdict(False, doubt=seen_marks)
+            if isinstance(seen_marks, GeometryDoubt)
+            else marks_verdict(seen_marks, cloud, noise, calibration)
+        )
         if calibration.doubt is None and (doubt is not None or marks.is_unexplained):
             doubt = marks.doubt  # which a statement of the rig's owner settles, unless they look different
     hidden: tuple[tuple[str, float], ...] = ()
     if doubt is not None and not (marks and (marks.verified or marks.change)):
         noticed_px = max_epipolar_px(limits, decoded)
-        changes = hidden_changes(cloud, calibration, coordinate_noise(decoded), noticed_px)
-        certain_um = stated_um(cloud.sigma_calibration_mm)
+        changes = hidden_changes(cloud, calibration, noise, noticed_px)
+        sigma_mm = cloud.sigma_calibration_mm
+        certain_um = 0.0 if sigma_mm is None else 1e3 * float(np.median(sigma_mm))
         costs = [(change.meaning, change.displacement_um) for change in changes[:SHOWN_CHANGES]]
         hidden = tuple((what, um) for what, um in costs if um > certain_um)
     seen = marks is not None and marks.verified
@@ -54,17 +58,6 @@ def geometry_check(
         marks.change if marks else None,
         seen,
     )
-
-
-def _seen_marks(
-    recording: Recording, decoded: Decoded, cloud: Cloud, calibration: Calibration, marks: LocatedMarks
-) -> MarksVerdict:
-    """Judge by the marks, as far as they are in view."""
-    try:
-        observed = marks_in(recording, decoded, calibration, marks)
-        return marks_verdict(observed, cloud, coordinate_noise(decoded), calibration, marks)
-    except CalibrationError as error:
-        return MarksVerdict(False, doubt=GeometryDoubt(str(error), f"uncover the marks, or {CONFIRM}"))
 
 
 def why_unverified(session: Session, calibration: Calibration) -> GeometryDoubt | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from fpplab.calibration.error_modes import covariance_root
 from fpplab.calibration.marks import LocatedMarks
-from fpplab.calibration.model import Calibration
+from fpplab.calibration.model import PARAMETERS, Calibration, Uncertainty
 from fpplab.characterisation import Correction
 from fpplab.characterisation.displacement import without_motion
 from fpplab.characterisation.marks import (
@@ -20,7 +20,6 @@ from fpplab.characterisation.marks import (
 )
 from fpplab.characterisation.observation import Observation
 from fpplab.clouds import Cloud
-from fpplab.clouds.cloud import CloudPoints
 from fpplab.core import config
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import CalibrationError
@@ -30,7 +29,7 @@ from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.hidden_changes import sampled_points
 from fpplab.reconstruction.triangulation import CoordinateNoise
-from fpplab.reconstruction.uncertainty import calibration_jacobian
+from fpplab.reconstruction.uncertainty import calibration_jacobian, displacements_by_mode
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 
@@ -54,15 +53,39 @@ class MarksVerdict:
     is_unexplained: bool = False  # whether they look different in a way that no change of the rig explains
 
 
+SeenMarks = MarksComparison | GeometryDoubt | None
+"""What a scan shows of the marks: a doubt where too few are in view, None where the calibration has none."""
+
+
+def compare_marks_in(recording: Recording, decoded: Decoded, calibration: Calibration) -> SeenMarks:
+    """Compare how a scan shows a calibration's reference marks with how they looked before."""
+    if (marks := calibration.marks) is None:
+        return None
+    try:
+        return compare_marks(calibration, marks, marks_in(recording, decoded, calibration, marks))
+    except CalibrationError as error:
+        return GeometryDoubt(str(error), f"uncover the marks, or {CONFIRM}")
+
+
+def widened_by_marks(calibration: Calibration, seen: SeenMarks) -> Calibration:
+    """Add the change of the rig that marks make likely, and what they leave open, to the uncertainty."""
+    if calibration.uncertainty is None or not isinstance(seen, MarksComparison):
+        return calibration
+    names = calibration.uncertainty.names
+    places = [PARAMETERS.index(name) for name in names]
+    changed = seen.covariance + np.outer(seen.change, seen.change)
+    covariance = calibration.uncertainty.covariance + changed[np.ix_(places, places)]
+    return replace(calibration, uncertainty=Uncertainty(names, covariance))
+
+
 def marks_verdict(
-    observed: Observation, cloud: Cloud, noise: CoordinateNoise, calibration: Calibration, marks: LocatedMarks
+    compared: MarksComparison, cloud: Cloud, noise: CoordinateNoise, calibration: Calibration
 ) -> MarksVerdict:
     """Judge the geometry by what a change that the marks allow would displace the points by.
 
     It is compared with the uncertainty that the calibration states for them anyway: what costs less is no
     change that matters.
     """
-    compared = compare_marks(calibration, marks, observed)
     costs = _costs(cloud, calibration, noise, compared)
     if compared.explained and all(cost.total_um <= cost.stated_um for cost in costs):
         return MarksVerdict(True)
@@ -127,11 +150,6 @@ def correct_by_marks(session: Session, calibration: Calibration, marks: LocatedM
     return Correction(corrected, compared.probabilities, compared.as_characterised, compared.after)
 
 
-def stated_um(sigma_mm: CloudPoints | None) -> float:
-    """Give the median of a stated uncertainty, 0 where none is."""
-    return 0.0 if sigma_mm is None else 1e3 * float(np.median(sigma_mm))
-
-
 @dataclass(frozen=True)
 class _Cost:
     """What a change does to the points, RMS, beside the uncertainty that is stated for them anyway."""
@@ -157,11 +175,13 @@ def _costs(
     points = sampled_points(cloud)
     modes = np.column_stack([compared.change, covariance_root(compared.covariance)])
     moved = (calibration_jacobian(points, calibration, noise) @ modes).reshape(-1, modes.shape[1])
+    stated = displacements_by_mode(points, calibration, noise).reshape(len(moved), -1)
     costs = []
-    for what, displaced, sigma_mm in (
-        ("points are", moved, cloud.sigma_calibration_mm),
-        ("the form is", without_motion(moved, points), cloud.sigma_form_mm),
+    for what, displaced, before in (
+        ("points are", moved, stated),
+        ("the form is", without_motion(moved, points), without_motion(stated, points)),
     ):
         change, *spread = 1e3 * np.sqrt(np.square(displaced).sum(axis=0) / len(points))
-        costs.append(_Cost(what, float(change), float(np.linalg.norm(spread)), stated_um(sigma_mm)))
+        stated_um = 1e3 * np.sqrt(np.square(before).sum() / len(points))
+        costs.append(_Cost(what, float(change), float(np.linalg.norm(spread)), float(stated_um)))
     return costs

@@ -19,6 +19,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
 from fpplab.pipeline.decoding import checked_recording
 from fpplab.pipeline.geometry import geometry_check
+from fpplab.pipeline.marks import SeenMarks, compare_marks_in, widened_by_marks
 from fpplab.pipeline.triangulating import triangulate_recording
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.reconstruction.uncertainty import with_uncertainty
@@ -54,7 +55,7 @@ def reconstruct_points(
     decoded, points = triangulate_recording(recording, calibration, filtering, progress)
     if isinstance(points, Diagnosis):
         raise UselessScanError(recording.name, points)
-    return decoded, _with_sigmas(decoded, points, calibration, progress)
+    return decoded, _with_sigmas(recording, decoded, points, calibration, progress)[0]
 
 
 def reconstruct_session(
@@ -74,8 +75,8 @@ def reconstruct_session(
     observe_maps(decoded)
     if isinstance(points, Diagnosis):
         return Reconstruction(session, calibration, recording.depth, None, None, points)
-    cloud = _with_sigmas(decoded, points, calibration, progress)
-    diagnosis = _judge(session, recording, decoded, cloud, calibration, limits)
+    cloud, marks = _with_sigmas(recording, decoded, points, calibration, progress)
+    diagnosis = _judge(session, recording, decoded, cloud, calibration, marks, limits)
     return Reconstruction(session, calibration, recording.depth, decoded, cloud, diagnosis)
 
 
@@ -100,7 +101,7 @@ def finish_scan(
             saved_maps.result()
             save_diagnosis(points, session.path)
             return Reconstruction(session, calibration, recording.depth, None, None, points)
-        cloud = _with_sigmas(decoded, points, calibration, progress)
+        cloud, marks = _with_sigmas(recording, decoded, points, calibration, progress)
         saved_maps.result()  # a cloud is not written where its maps could not be
         verdict: Future[Diagnosis] = Future()
         saved_cloud = writer.submit(
@@ -110,7 +111,7 @@ def finish_scan(
             lambda: verdict.result().require_usable(str(session.path)),
         )
         try:
-            diagnosis = _judge(session, recording, decoded, cloud, calibration, limits)
+            diagnosis = _judge(session, recording, decoded, cloud, calibration, marks, limits)
             save_diagnosis(diagnosis, session.path)
         except BaseException as error:
             verdict.set_exception(error)  # the writer waits for it
@@ -132,12 +133,16 @@ def _judge(
     decoded: Decoded,
     cloud: Cloud,
     calibration: Calibration,
+    marks: SeenMarks,
     limits: DiagnosisLimits,
 ) -> Diagnosis:
-    geometry = geometry_check(session, recording, decoded, cloud, calibration, limits)
+    geometry = geometry_check(session, decoded, cloud, calibration, marks, limits)
     return diagnose_scan(recording, decoded, cloud, calibration, geometry=geometry, limits=limits)
 
 
-def _with_sigmas(decoded: Decoded, cloud: Cloud, calibration: Calibration, progress: Progress) -> Cloud:
-    noise = coordinate_noise(decoded)
-    return with_uncertainty(cloud, calibration, noise, lambda share: progress(0.72 + 0.28 * share))
+def _with_sigmas(
+    recording: Recording, decoded: Decoded, cloud: Cloud, calibration: Calibration, progress: Progress
+) -> tuple[Cloud, SeenMarks]:
+    marks = compare_marks_in(recording, decoded, calibration)
+    at_scan, noise = widened_by_marks(calibration, marks), coordinate_noise(decoded)
+    return with_uncertainty(cloud, at_scan, noise, lambda share: progress(0.72 + 0.28 * share)), marks

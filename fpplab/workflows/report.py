@@ -17,6 +17,7 @@ from fpplab.diagnosis import Diagnosis, diagnose_scan
 from fpplab.diagnosis.record import load_diagnosis
 from fpplab.phase import Decoded
 from fpplab.pipeline.geometry import geometry_check
+from fpplab.pipeline.marks import compare_marks_in
 from fpplab.report.several_scans import write_scans_report
 from fpplab.results.observer import Observer
 from fpplab.results.provenance import cloud_provenance, local_time, session_provenance
@@ -89,7 +90,8 @@ def _diagnosis(
     if cloud is None or calibration is None or not (session.path / DECODED).is_file():
         return None, None
     recording, decoded = session.recording(verify=False), Decoded.load(session.path / DECODED)
-    geometry = geometry_check(session, recording, decoded, cloud, calibration)
+    marks = compare_marks_in(recording, decoded, calibration)
+    geometry = geometry_check(session, decoded, cloud, calibration, marks)
     diagnosis = diagnose_scan(recording, decoded, cloud, calibration, geometry=geometry)
     return diagnosis, "for this report"
 

@@ -16,7 +16,8 @@ from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
-from fpplab.reconstruction.uncertainty import calibration_jacobian
+from fpplab.pipeline.marks import widened_by_marks
+from fpplab.reconstruction.uncertainty import calibration_jacobian, displacements_by_mode
 from fpplab.targets import Target
 from tests.characterisation.test_judging import NOISE_PX, seen
 from tests.support.rigs import BOARD, CAMERA, PAIR, SQUARE
@@ -128,3 +129,21 @@ def test_marks_are_kept_with_the_calibration(
     np.testing.assert_array_equal(kept.ids, located.ids)
     np.testing.assert_allclose(kept.camera_px, located.camera_px, atol=1e-5)
     assert config.validate(kept.target, Target, "marks") == TARGET
+
+
+@pytest.mark.parametrize("name", ["the projector turned by 0.1° about its y axis", None])
+def test_what_the_marks_show_is_part_of_the_uncertainty(
+    calibration: Calibration, located: LocatedMarks, name: str | None
+) -> None:
+    now = changed_rigs(TRUE)[name] if name else TRUE
+    compared = compare_marks(calibration, located, marks_seen(now, 106))
+    points = np.random.default_rng(1).uniform((-25, -20, 230), (25, 20, 270), (99, 3))
+    off = calibration_jacobian(points, TRUE, (1.0, 1.0)) @ (
+        parameter_vector(now) - parameter_vector(calibration)
+    )
+    before, after = (
+        np.linalg.norm(displacements_by_mode(points, known, (1.0, 1.0)))
+        for known in (calibration, widened_by_marks(calibration, compared))
+    )
+    assert np.linalg.norm(off) < 2.0 * after
+    assert after < 1.2 * before if name is None else after > 2.0 * before
