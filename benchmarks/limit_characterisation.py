@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks import Result, above, below
 from fpplab.calibration.model import PARAMETERS, Calibration
-from fpplab.characterisation import Observation, characterise
+from fpplab.characterisation import Characterisation, Observation, characterise
 from fpplab.characterisation.bundle import adjust_bundle
 from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, Model, Solution, vectors_of
 from fpplab.cli import console
@@ -148,6 +148,15 @@ def place_and_form(found: Floats, draw: Draw) -> tuple[float, float]:
     scaled = np.append(found[:-3], (1.0 + draw.scale) * found[-3:])
     moved = slopes @ (scaled - _vector(draw.truth))
     return _rms_um(moved), _rms_um(rigid_and_form(points)[1] @ moved)
+
+
+def place_errors(found: Characterisation, seen: Draw) -> tuple[float, float]:
+    """Compute how far a cloud is off in µm, RMS, with the scale of the board, and how far that is stated."""
+    assert found.solution is not None
+    points = cloud_of(seen.truth)
+    slopes = calibration_jacobian(points, _calibration(seen.truth), (1.0, 1.0)).reshape(-1, len(PARAMETERS))
+    moved = slopes @ (_vector(found.solution) - _vector(seen.truth))
+    return _rms_um(moved), _stated(found.calibration, seen)[1]
 
 
 def _rms_um(moved: Floats) -> float:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.optimize import least_squares
 
@@ -49,7 +50,7 @@ def adjust_bundle(
     for _ in range(0 if sizes else model.settings.max_rounds):
         near = problem.unpack(vector)
         estimated = variance_components(replace(problem, near=near), vector)
-        change = np.log(np.array(estimated.independent) / np.array(problem.sizes.independent))
+        change = np.log(np.array(estimated.iterated) / np.array(problem.sizes.iterated))
         problem = replace(problem, near=near, sizes=estimated)
         if np.abs(change).max() < model.settings.max_settled_change:
             break
@@ -100,7 +101,16 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
             )
             for size, row, leak in zip(board, problem.board_rows, leaked, strict=True)
         ]
-    return ErrorSizes(*noise, *board, *np.sqrt(widened_variances(variances, uncertainties)).tolist())
+    shared = np.sqrt(widened_variances(variances, uncertainties)).tolist()
+    drift_px = _drift_px(problem, prior_residuals, held)
+    return replace(ErrorSizes(*noise, *board, *shared), drift_px=drift_px)
+
+
+def _drift_px(problem: Problem, prior_residuals: Floats, held: Floats) -> float:
+    """Size of the steps by which the projector's picture walks; 0 where no steps are fitted."""
+    rows = problem.priors[0] >= problem.length - problem.near.steps.size
+    squares, redundancy = np.sum(prior_residuals[rows] ** 2), np.sum(1.0 - held[rows])
+    return float(problem.sizes.drift_px * np.sqrt(squares / redundancy)) if rows.any() else 0.0
 
 
 def _residual_to_expected_ratio(
@@ -243,12 +253,14 @@ def _huber(residuals: Floats, limit: float) -> float:
     return float(np.sum(np.where(size <= limit, size**2, limit * (2 * size - limit))))
 
 
-def fit_pose(observation: Observation, solution: Solution, start: Floats) -> Floats:
+def fit_pose(
+    observation: Observation, solution: Solution, start: Floats, age: NDArray[np.intp] | None = None
+) -> Floats:  # fmt: skip
     """Fit the pose of the board in one capture, with everything else held."""
-    # start (6,); returns (6,) rad
+    # start (6,); age (1,); returns (6,) rad
 
     def misfit(pose: Floats) -> Floats:
-        pair = replace(solution, poses=pose[None]).residuals(0, observation)
+        pair = solution.at_pose(pose, age).residuals(0, observation)
         return np.concatenate(pair).ravel()
 
     return np.asarray(least_squares(misfit, start, x_scale="jac", method="lm").x)

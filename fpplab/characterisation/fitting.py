@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import norm, t
 from threadpoolctl import threadpool_limits
 
@@ -27,6 +28,7 @@ from fpplab.characterisation.bundle import (
     motions_in_poses,
     scale_error,
 )
+from fpplab.characterisation.drift import fit_with_drift
 from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import (
@@ -116,6 +118,8 @@ def _characterise_fitted(
     chosen = model.level
     kept, fit, separate_px = settled(observations, target, model, missing)
     kept, fit, rejected = _without_outliers(kept, fit, model)
+    if len(kept) > MIN_POSES:
+        fit = fit_with_drift(kept, fit, model) or fit
     solution, sizes = fit
     # A model with few coefficients would hide that tilts are missing, so k1 to k3 are estimated here.
     richest = model if len(chosen.terms) > len(DEFAULT_LEVEL.terms) else replace(model, level=DEFAULT_LEVEL)
@@ -272,7 +276,7 @@ def _fit_at_level(
         without = fits_without_each_pose(observations, solution, own, sizes) if without else ()
     fitted = [solution.residuals(i, o) for i, o in enumerate(observations)]
     held = [
-        _held_out(o, near, solution.poses[k])
+        _held_out(o, near, solution.poses[k], solution.ages[k : k + 1])
         for k, (o, near) in enumerate(zip(observations, without, strict=bool(without)))
     ]
     return ModelTrial(level, _rms_px(fitted), _rms_px(held) if held else None)
@@ -305,10 +309,11 @@ def _stated_uncertainty(
     return estimate_uncertainty(observations, fit[0], model, replace(fit[1], **shared))
 
 
-def _held_out(observation: Observation, near: Solution, start: Floats) -> Residuals:
+def _held_out(
+    observation: Observation, near: Solution, start: Floats, age: NDArray[np.intp]
+) -> Residuals:  # fmt: skip
     """Compute the residuals in a pose when only its own pose is fitted to it, all else to the others."""
-    pose = fit_pose(observation, near, start)
-    return replace(near, poses=pose[None]).residuals(0, observation)
+    return near.at_pose(fit_pose(observation, near, start, age), age).residuals(0, observation)
 
 
 def _rms_px(residuals: Sequence[Residuals]) -> dict[str, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -55,7 +54,7 @@ def _best_scale_of_pose(
     step = np.array([1e-5] * 3 + [1e-3] * 3)
 
     def whitened(pose: Floats) -> Floats:
-        own = replace(solution, poses=pose[None]).residuals(0, observation)
+        own = solution.at_pose(pose, solution.ages[index : index + 1]).residuals(0, observation)
         carried = np.hypot(sizes.projector_px, solution.carried * sizes.camera_px)
         return np.concatenate([(own[0] / sizes.camera_px).ravel(), (own[1] / carried).ravel()])
 

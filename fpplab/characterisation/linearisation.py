@@ -49,6 +49,7 @@ def pose_slopes(
     chained, (by_pose, by_pair) = compose_with_derivatives(pose, solution.T_projector_camera)
     at_camera, imaged = project_with_derivatives(points, pose, solution.camera)
     at_projector, projected = project_with_derivatives(points, chained, solution.projector)
+    at_projector += solution.shift_px(index)
     raw = np.concatenate([at_camera - observation.camera_px, at_projector - observation.projector_px])
     rows, n = len(imaged), free
     shared = np.zeros((2 * rows, 2 * n + 6))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.calibration.model import INTRINSICS, POSE
 from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
@@ -52,11 +53,17 @@ class ErrorSizes:
     out_of_plane_mm: float  # of a board's point from the plane, in mm
     camera_shared_px: float = 0.0
     projector_shared_px: float = 0.0  # the same in the projector
+    drift_px: float = 0.0  # by which the projector's picture walks along an axis from pose to pose
 
     @property
     def independent(self) -> tuple[float, float, float, float]:
         """Those of errors of one point: camera, projector, board within its plane, and out of it."""
         return self.camera_px, self.projector_px, self.in_plane_mm, self.out_of_plane_mm
+
+    @property
+    def iterated(self) -> tuple[float, ...]:
+        """Those that settle before an estimate of sizes ends."""
+        return (*self.independent, self.drift_px or 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +76,22 @@ class Solution:
     poses: Floats  # (M, 6) `T_camera_target` of every pose: rotation vectors in rad and translations in mm
     board: Floats  # (P, 3) points of the board in mm
     carried: float = 0.0  # share of the camera's detection error that is carried into the projector's reading
+    # (S, 2) px by which the projector's picture walked from pose to pose, and from the last to what follows
+    steps: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    ages: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))  # (M,) steps since each pose
+
+    def shift_px(self, index: int) -> Floats:
+        """Sum up by how much the projector's picture lay elsewhere in a pose than the calibration says."""
+        # returns (2,) px
+        return (
+            -self.steps[len(self.steps) - self.ages[index] :].sum(axis=0) if len(self.ages) else np.zeros(2)
+        )
+
+    def at_pose(self, pose: Floats, age: NDArray[np.intp] | None = None) -> Solution:
+        """Keep one pose only, by default one without drift."""
+        # pose (6,); age (1,)
+        steps = self.steps[:0] if age is None else self.steps
+        return replace(self, poses=pose[None], steps=steps, ages=self.ages[:0] if age is None else age)
 
     def residuals(self, index: int, observation: Observation) -> tuple[Floats, Floats]:
         """Compute the reprojection errors of one pose."""
@@ -76,9 +99,8 @@ class Solution:
         points, pose = self.board[observation.ids], self.poses[index]
         camera_errors = project_with_derivatives(points, pose, self.camera)[0] - observation.camera_px
         chained, _ = compose_with_derivatives(pose, self.T_projector_camera)
-        return camera_errors, project_with_derivatives(points, chained, self.projector)[
-            0
-        ] - observation.projector_px
+        lit = project_with_derivatives(points, chained, self.projector)[0] + self.shift_px(index)
+        return camera_errors, lit - observation.projector_px
 
 
 @dataclass(frozen=True)

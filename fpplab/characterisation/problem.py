@@ -38,7 +38,7 @@ class Problem:
     """The least-squares problem: parameters packed in one vector, residuals and normal equations.
 
     The vector holds the camera's estimated intrinsics, the projector's, T_projector_camera, the share that
-    is carried, the poses and, where the board is refined, its points.
+    is carried, the poses, where the board is refined its points, and the steps of the projector's drift.
     """
 
     observations: tuple[Observation, ...]  # the poses
@@ -57,12 +57,23 @@ class Problem:
         return n, 2 * n, 2 * n + 6, 2 * n + 7, 2 * n + 7 + 6 * len(self.observations)
 
     @property
+    def _steps_from(self) -> int:
+        return self.vector_offsets[-1] + self.model.refined * self.model.drawn.size
+
+    @property
+    def length(self) -> int:
+        """Number of parameters."""
+        return self._steps_from + self.near.steps.size
+
+    @property
     def priors(self) -> tuple[NDArray[np.intp], Floats, Floats]:
         """Indices (Q,) of the parameters that have a prior, its means and its standard deviations."""
         n, (_, _, carried, _, board) = self._free, self.vector_offsets
         lenses = np.concatenate([np.arange(4, n), n + np.arange(4, n)])
         sigmas = [*self._lens_priors, 1.0]  # the share carried is 0 to 1
         index = np.append(lenses, carried)
+        walked = np.arange(self._steps_from, self.length)
+        index, sigmas = np.append(index, walked), sigmas + [self.sizes.drift_px] * len(walked)
         if not self.model.refined:
             return index, np.zeros(len(index)), np.array(sigmas)
         of_board = (self.sizes.in_plane_mm, self.sizes.in_plane_mm, self.sizes.out_of_plane_mm)
@@ -106,7 +117,8 @@ class Problem:
         """Which rows (Q,) of `priors` are of the board's points within its plane, and out of it."""
         place, board = self.priors[0], self.vector_offsets[-1]
         axis = (place - board) % 3
-        return (place >= board) & (axis < 2), (place >= board) & (axis == 2)
+        of_board = (place >= board) & (place < self._steps_from)
+        return of_board & (axis < 2), of_board & (axis == 2)
 
     def pack(self, solution: Solution) -> Floats:
         """Pack the estimated parameters of a solution."""
@@ -121,20 +133,23 @@ class Problem:
         ]
         if self.model.refined:
             parts.append(solution.board.ravel())
+        parts.append(solution.steps.ravel())
         return np.concatenate(parts)
 
     def unpack(self, vector: Floats) -> Solution:
         """Unpack a vector of estimated parameters."""
         # vector (n,)
         projector, pair, carried, poses, board = self.vector_offsets
-        held = np.zeros(len(INTRINSICS) - self._free)
+        held, steps = np.zeros(len(INTRINSICS) - self._free), self._steps_from
         return Solution(
             np.append(vector[:projector], held),
             np.append(vector[projector:pair], held),
             vector[pair:carried],
             vector[poses:board].reshape(-1, 6),
-            vector[board:].reshape(-1, 3) if self.model.refined else self.model.drawn,
+            vector[board:steps].reshape(-1, 3) if self.model.refined else self.model.drawn,
             float(vector[carried]),
+            vector[steps:].reshape(-1, 2),
+            self.near.ages,
         )
 
     def _raw(self, index: int, solution: Solution) -> Floats:
@@ -153,9 +168,7 @@ class Problem:
         """Multiply rows of one pose by the transposed derivatives of its whitened residuals."""
         # rows (4 K, E); returns (n, E)
         columns, slopes, by_point = self.slopes(index, solution)
-        product = np.zeros(
-            (self.vector_offsets[-1] + self.model.refined * self.model.drawn.size, rows.shape[1])
-        )
+        product = np.zeros((self.length, rows.shape[1]))
         product[columns] = slopes.T @ rows
         if self.model.refined:
             shape = (2, len(by_point) // 4, 2)
@@ -269,10 +282,14 @@ class Problem:
         half = len(raw) // 2
         by_carried[half:, 0] = -(through @ raw[:half].reshape(-1, 2, 1)).ravel() / self.sizes.projector_px
         columns = [np.arange(carried), poses + 6 * index + np.arange(6), np.array([carried])]
+        age = solution.ages[index] if len(solution.ages) else 0
+        columns.append(np.arange(self.length - 2 * age, self.length))
+        by_step = np.concatenate([np.zeros((half, 2 * age)), np.tile(-np.eye(2), (half // 2, age))])
         parts = [
             self.whitened(index, shared, solution.carried),
             self.whitened(index, pose, solution.carried),
             by_carried,
+            self.whitened(index, by_step, solution.carried),
         ]
         by_point = self.whitened(index, by_point, solution.carried)
         slopes, uncoded = np.hstack(parts), np.isnan(raw)
@@ -282,4 +299,5 @@ class Problem:
 
 def without_poses(solution: Solution, held: Sequence[int] | int) -> Solution:
     """Leave poses out of a solution."""
-    return replace(solution, poses=np.delete(solution.poses, held, axis=0))
+    ages = np.delete(solution.ages, held) if len(solution.ages) else solution.ages
+    return replace(solution, poses=np.delete(solution.poses, held, axis=0), ages=ages)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Literal
 
 from fpplab.core.errors import CalibrationError, ConfigError
@@ -229,7 +230,7 @@ def _save_and_report(
     from fpplab.results.characterisation import CharacterisationResult
     from fpplab.results.provenance import point_list_provenance, poses_provenance
 
-    findings = _lens_findings(fitted)
+    findings = findings_of_poses(fitted)
     if request.points is None:
         diagnosis = diagnosed_poses(sessions, fitted.warnings, fitted.left_out, findings, observer)
         provenance = poses_provenance(sessions, fitted.calibration, request.out)
@@ -265,6 +266,22 @@ def _save_and_report(
     return result
 
 
+def findings_of_poses(fitted: Characterisation) -> list[Finding]:
+    """Find what changed from pose to pose of a characterisation.
+
+    Parameters
+    ----------
+    fitted : Characterisation
+        The fit, with its solution.
+
+    Returns
+    -------
+    list of Finding
+        A lens that was not locked, a projector that drifts, or boards that moved.
+    """
+    return [*_lens_findings(fitted), *_drift_findings(fitted)]
+
+
 def _lens_findings(fitted: Characterisation) -> list[Finding]:
     """Whether the camera's lens was locked while the poses were taken."""
     from fpplab.characterisation import lens
@@ -283,3 +300,23 @@ def _lens_findings(fitted: Characterisation) -> list[Finding]:
         f"(at most {100 * limits.max_focus_breathing:g} %, and what noise explains)"
     )
     return [Finding(LENS_NOT_LOCKED, evidence, scatter / limits.max_focus_breathing)]
+
+
+def _drift_findings(fitted: Characterisation) -> list[Finding]:
+    """Whether the projector's picture walked from pose to pose; where frames show it, the boards did."""
+    from fpplab.characterisation.drift import drift_cost_mm
+    from fpplab.diagnosis import Finding
+    from fpplab.diagnosis.causes.of_characterisation import BOARD_MOVED, PROJECTOR_DRIFT
+
+    if fitted.solution is None or fitted.sizes is None or fitted.model is None or not fitted.sizes.drift_px:
+        return []
+    sizes, fit = fitted.sizes, (fitted.solution, fitted.sizes)
+    cost_um = 1e3 * drift_cost_mm(fitted.observations, fit, fitted.model)
+    moved = [o.board_shift_px * o.projector_px_per_px for o in fitted.observations if o.board_shift_px]
+    is_of_boards = bool(moved) and median(moved) > 0.5 * sizes.drift_px
+    evidence = (
+        f"the projector's picture of the board walks by {sizes.drift_px:.2f} px from pose to pose, "
+        f"{cost_um:.0f} µm where the boards were, which the uncertainty contains"
+    )
+    cause = BOARD_MOVED if is_of_boards else PROJECTOR_DRIFT
+    return [Finding(cause, evidence, max(sizes.drift_px / sizes.projector_px, 1.0))]
