@@ -104,6 +104,10 @@ class CalibrationOrigin(Origin):
     """Name of the file that it was first written to, which copies of it state too."""
     confirmed: AwareDatetime | None = None
     """When the last images were taken of a board that confirmed it, since it was made."""
+    settings: dict[str, float | str] | None = None
+    """What was set by hand when the board last showed that it holds, as the rig file stated it."""
+    temperature_c: float | None = None
+    """The rig's temperature then in °C, as the rig file stated it."""
 
     @property
     def verified(self) -> AwareDatetime | None:

@@ -107,6 +107,13 @@ class GeometrySection(Document):
     max_age_h: Annotated[float, Field(gt=0, le=10_000)]
     """For how many hours after the poses of its characterisation, or of the last board that confirmed it, a
     calibration is taken to hold, as long as no scan contradicts it."""
+    settings: dict[str, float | str] | None = None
+    """What is set by hand and read off, such as `aperture: 8`: a calibration holds for these alone."""
+    temperature_c: Annotated[float, Field(ge=-50, le=100)] | None = None
+    """Temperature of the rig now, in °C, where it is read off."""
+    max_change_k: Annotated[float, Field(gt=0, le=100)] = 2.0
+    """By how much the temperature may differ from that at the characterisation. Chosen: a mount of aluminium
+    with a baseline of 200 mm grows by 10 µm."""
 
 
 class RigFile(DepthSection):

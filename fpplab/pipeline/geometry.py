@@ -6,7 +6,7 @@ from datetime import timedelta
 
 import numpy as np
 
-from fpplab.calibration.model import Calibration
+from fpplab.calibration.model import Calibration, CalibrationOrigin
 from fpplab.clouds import Cloud
 from fpplab.devices.rig import GeometrySection
 from fpplab.diagnosis.causes.stale_calibration import max_epipolar_px
@@ -81,12 +81,37 @@ def why_unverified(session: Session, calibration: Calibration) -> GeometryDoubt 
             "the rig file does not state for how long the rig keeps it",
             "add for how many hours it does, such as 'geometry: {max_age_h: 8}'",
         )
-    max_age_h = GeometrySection.model_validate(stated).max_age_h
+    section = GeometrySection.model_validate(stated)
+    if (doubt := _settings_doubt(section, origin)) is not None:
+        return doubt
+    max_age_h = section.max_age_h
     apart_h = max(abs(time - verified) for time in times) / timedelta(hours=1)
     if apart_h <= max_age_h:
         return _stage_doubt(session, calibration)
     reason = f"a board last showed it {apart_h:.1f} h from the scan (at most {max_age_h:g} h)"
     return GeometryDoubt(reason, CONFIRM)
+
+
+def _settings_doubt(now: GeometrySection, then: CalibrationOrigin | None) -> GeometryDoubt | None:
+    """Compare what the rig file states of settings and temperature with the time of the characterisation."""
+    if then is None:
+        return None
+    stated, before = now.settings or {}, then.settings or {}
+    for name in sorted({*stated, *before}):
+        if stated.get(name) != before.get(name):
+            shown, was = (values.get(name, "not stated") for values in (stated, before))
+            reason = f"'{name}' is {shown} in the rig file, and was {was} for the poses of the calibration"
+            return GeometryDoubt(reason, f"set it as it was and state it, or {CONFIRM}")
+    if now.temperature_c is None or then.temperature_c is None:
+        return None
+    warmer_k = now.temperature_c - then.temperature_c
+    if abs(warmer_k) <= now.max_change_k:
+        return None
+    reason = (
+        f"the rig is at {now.temperature_c:g} °C, and was at {then.temperature_c:g} °C for the calibration's "
+        f"poses (at most {now.max_change_k:g} K apart)"
+    )
+    return GeometryDoubt(reason, f"wait, or {CONFIRM}")
 
 
 def _stage_doubt(session: Session, calibration: Calibration) -> GeometryDoubt | None:

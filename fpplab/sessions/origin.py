@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from fpplab.calibration.model import Calibration, CalibrationOrigin
 from fpplab.core import config
@@ -153,7 +154,15 @@ def calibration_origin(poses: Sequence[Session]) -> CalibrationOrigin:
     stages = {pose.plan.stage_mm for pose in poses}
     stage_mm = stages.pop() if len(stages) == 1 else None
     taken = max(ends).replace(microsecond=0) if len(ends) == len(poses) else None
-    return CalibrationOrigin.now(poses_taken=taken, stage_mm=stage_mm, **agreed)
+    by_hand = _settings_by_hand(poses)
+    return CalibrationOrigin.now(poses_taken=taken, stage_mm=stage_mm, **agreed, **by_hand)
+
+
+def _settings_by_hand(poses: Sequence[Session]) -> dict[str, Any]:
+    """Give what all poses' rig files state alike of the rig's settings and temperature."""
+    stated = [(pose.rig() or {}).get("geometry") or {} for pose in poses]
+    names = ("settings", "temperature_c")
+    return {n: stated[0].get(n) for n in names if all(one.get(n) == stated[0].get(n) for one in stated)}
 
 
 def with_confirmation(calibration: Calibration, poses: Sequence[Session]) -> Calibration:
@@ -165,4 +174,5 @@ def with_confirmation(calibration: Calibration, poses: Sequence[Session]) -> Cal
         if times is None:
             raise CalibrationError(f"{path}: does not record when it was taken, and cannot confirm anything")
     last = max(times[1] for times in ends.values() if times).replace(microsecond=0)
-    return replace(calibration, origin=calibration.origin.model_copy(update={"confirmed": last}))
+    now = {"confirmed": last, **_settings_by_hand(poses)}
+    return replace(calibration, origin=calibration.origin.model_copy(update=now))

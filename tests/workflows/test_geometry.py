@@ -104,3 +104,28 @@ def test_a_stage_that_stood_elsewhere_is_refused_and_one_of_unknown_place_verifi
     assert "do not say where the stage stood" in doubt.reason
     mixed = calibration_origin([*poses, anywhere])
     assert mixed.stage_mm is None
+
+
+@pytest.mark.parametrize(
+    ("stated", "reason"),
+    [
+        ({"settings": {"aperture": 8}, "temperature_c": 22.5}, None),
+        ({"settings": {"aperture": 5.6}}, "'aperture' is 5.6 in the rig file, and was 8.0 for the poses"),
+        ({}, "'aperture' is not stated in the rig file, and was 8.0 for the poses"),
+        ({"settings": {"aperture": 8}, "temperature_c": 23.5}, "23.5 °C, and was at 21 °C"),
+    ],
+)
+def test_settings_and_temperature_are_those_of_the_calibration(
+    tmp_path: Path, stated: dict[str, Any], reason: str | None
+) -> None:
+    def rig(section: dict[str, Any]) -> dict[str, Any]:
+        return {"name": "bench", "geometry": {"max_age_h": 8.0, **section}}
+
+    poses = [
+        session_of(tmp_path / name, rig({"settings": {"aperture": 8.0}, "temperature_c": 21.0}))
+        for name in ("a", "b")
+    ]
+    known = replace(CALIBRATION, origin=calibration_origin(poses))
+    doubt = why_unverified(session_of(tmp_path / "s", rig(stated)), known)
+    assert (doubt is None) is (reason is None)
+    assert doubt is None or reason in doubt.reason
