@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fpplab.calibration.model import Calibration
+from fpplab.results.characterisation import CorrectionResult, JudgementResult
 from fpplab.results.provenance import Provenance
 from fpplab.setup.rig_check.check import RigCheck
 
@@ -29,3 +30,16 @@ class CheckResult:
             "report": None if self.report_file is None else str(self.report_file),
             "pictures": [str(path) for path in self.picture_files],
         }
+
+
+@dataclass(frozen=True, eq=False)
+class BoardCheckResult:
+    """What one pose of the board says about a rig's calibration."""
+
+    judged: JudgementResult
+    corrected: CorrectionResult | None  # where the pose contradicts the calibration
+
+    def summary(self) -> dict[str, Any]:
+        """Collect what `fpplab check --board --json` prints."""
+        corrected = {} if self.corrected is None else {"corrected": self.corrected.summary()}
+        return {**self.judged.summary(), **corrected}

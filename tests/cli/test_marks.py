@@ -32,8 +32,8 @@ class Bench:
     def calibration(self) -> Path:
         return self.folder / "calibration.yaml"
 
-    def scan(self, name: str, turned_deg: float = 0.0, axes: str = "xy") -> Path:
-        """Scan with the projector turned about its upright axis."""
+    def set_up(self, turned_deg: float, axes: str = "xy") -> None:
+        """Write world, rig and plan, with the projector turned about its upright axis."""
         world = yaml.safe_load(config.find_config("world_demo.yaml").read_text())
         world["items"]["marks"], world["standing"] = MARKS, ["marks"]
         world["items"]["part"] = {
@@ -46,6 +46,9 @@ class Bench:
         rig["bench"]["world"] = "world.yaml"
         for file, content in (("world", world), ("rig", rig), ("plan", plan)):
             (self.folder / f"{file}.yaml").write_text(yaml.safe_dump(content))
+
+    def scan(self, name: str, turned_deg: float = 0.0, axes: str = "xy") -> Path:
+        self.set_up(turned_deg, axes)
         out, given = self.folder / name, self.folder / "plain.yaml"
         options = ["--rig", self.folder / "rig.yaml", "--plan", self.folder / "plan.yaml", "--item", "part"]
         done = self.fpplab("scan", *options, "--calibration", given, "--out", out)
@@ -90,6 +93,23 @@ def test_a_turned_projector_is_shown_and_corrected(bench: Bench) -> None:
     assert done.code == 0, done.err
     assert done.json["probabilities"]["projector or camera moved"] > 0.99
     assert bench.judged(bench.scan("later", turned_deg=0.1), new)["verdict"] == "good"
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 0.1])
+def test_one_pose_of_the_board_confirms_or_corrects(bench: Bench, turned_deg: float) -> None:
+    bench.set_up(turned_deg)
+    known, folder = bench.folder / "checked.yaml", bench.folder / f"board_{turned_deg:g}"
+    known.write_bytes((bench.folder / "plain.yaml").read_bytes())
+    options = ["--rig", bench.folder / "rig.yaml", "--calibration", known, "--board", folder]
+    done = bench.fpplab("check", *options, "--json")
+    assert done.code == (3 if turned_deg else 0), done.err
+    assert done.json["contradicted"] is bool(turned_deg)
+    assert ("now records that these poses confirm it" in done.err) is not bool(turned_deg)
+    if turned_deg:
+        assert done.json["corrected"]["probabilities"]["projector or camera moved"] > 0.99
+        assert (
+            bench.judged(bench.scan("checked", turned_deg), folder / "corrected.yaml")["verdict"] != "useless"
+        )
 
 
 def test_a_scan_without_marks_cannot_locate_them(bench: Bench, demo: Demo) -> None:

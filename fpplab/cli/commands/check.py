@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import PREPARE, Force, Json, PlanName, ReportOption, RigName, app
+from fpplab.cli.app import PREPARE, Force, Json, ReportOption, RigName, app
+from fpplab.cli.completion import names_of
 from fpplab.cli.viewing import ConsoleObserver
 from fpplab.core.errors import ConfigError, DeviceError
 
@@ -17,15 +18,26 @@ if TYPE_CHECKING:
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.setup.rig_check.check import RigCheck
+    from fpplab.workflows.check_board import BoardCheckRequest
 
 
 @app.command("check", rich_help_panel=PREPARE)
 def check_command(
     rig: RigName,
-    plan: PlanName = "plan_scan.yaml",
+    plan: Annotated[
+        str | None,
+        typer.Option(
+            "--plan",
+            help="What to project and capture; plan_scan, and plan_board with --board.",
+            autocompletion=names_of("plan"),
+        ),
+    ] = None,
     item: Annotated[
-        str, typer.Option("--item", help="What to look at: an evenly white card, or a bright part.")
-    ] = "grey_card",
+        str | None,
+        typer.Option(
+            "--item", help="What to look at: an evenly white card or a bright part; grey_card, or board."
+        ),
+    ] = None,
     calibration: Annotated[
         Path | None,
         typer.Option("--calibration", help="Check that it is still the rig's, and the rig's geometry."),
@@ -40,6 +52,10 @@ def check_command(
     steps: Annotated[
         bool, typer.Option("--steps", help="Link, lamp, pulses, rate, exposure, focus, one after another.")
     ] = False,
+    board: Annotated[
+        Path | None,
+        typer.Option("--board", help="Take one pose of the board into this folder, and check --calibration."),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -53,21 +69,33 @@ def check_command(
     code is 0 when all is well, 3 with findings. --out keeps a picture of each finding: the frame, map or
     curve that shows it.
 
+    With --board one pose of the board judges the calibration, and nothing else is checked: where they agree,
+    the calibration records when; where not, the exit code is 3, and the folder holds a corrected one.
+
     Example: `fpplab check --rig rig_demo --plan plan_scan --calibration calibration.yaml`
     """
     from fpplab.calibration.model import Calibration
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.workflows.check import CheckRequest, run_check
+    from fpplab.workflows.check_board import BoardCheckRequest
 
+    if board:
+        if steps or out or page or calibration is None:
+            raise ConfigError("--board: goes with --calibration, and without --steps, --out and --report")
+        of_board = Plan.load(plan or "plan_board")
+        request = BoardCheckRequest(Rig.load(rig), of_board, calibration, board, item or "board", force)
+        _check_board(request, json)
+        return
+    item, loaded = item or "grey_card", Plan.load(plan or "plan_scan.yaml")
     if steps:
         if calibration or out or page:
             raise ConfigError("--steps: goes without --calibration, --out and --report; leave them out")
-        _check_steps(Rig.load(rig), Plan.load(plan), item, json)
+        _check_steps(Rig.load(rig), loaded, item, json)
         return
-    request = CheckRequest(
+    whole = CheckRequest(
         rig=Rig.load(rig),
-        plan=Plan.load(plan),
+        plan=loaded,
         item=item,
         calibration=Calibration.load(calibration) if calibration else None,
         pictures=out,
@@ -75,9 +103,29 @@ def check_command(
         force=force,
         calibration_file=calibration,
     )
-    result = run_check(request, ConsoleObserver())
+    result = run_check(whole, ConsoleObserver())
     console.print_result(result.summary(), json, lambda: _show_check(result.check))
     if result.check.findings:
+        raise console.CommandExit(DeviceError.exit_code)
+
+
+def _check_board(request: BoardCheckRequest, json: bool) -> None:
+    from fpplab.workflows.check_board import run_board_check
+
+    result = run_board_check(request, ConsoleObserver())
+
+    def show() -> None:
+        console.stdout.print(result.judged.judgement.verdict, markup=False)
+        if result.corrected is not None:
+            file, changes = (
+                result.corrected.calibration_file,
+                result.corrected.correction.probabilities.items(),
+            )
+            said = ", ".join(f"{name} ({100 * chance:.0f} %)" for name, chance in changes if chance > 0.05)
+            console.stdout.print(f"probably {said}; scan with {file}", markup=False)
+
+    console.print_result(result.summary(), json, show)
+    if result.corrected is not None:
         raise console.CommandExit(DeviceError.exit_code)
 
 
