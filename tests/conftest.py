@@ -79,7 +79,7 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark as `whole` what asks for the demonstration, and all but the first cases of `whole_after(n)`."""
+    """Mark what asks for the demonstration, and the cases after the first ones of `whole_after`."""
     cases = Counter[str]()
     for item in items:
         function = item.nodeid.partition("[")[0]
@@ -90,7 +90,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.demonstration)
             item.add_marker(pytest.mark.whole)
         if after and cases[function] > after.args[0]:
-            item.add_marker(pytest.mark.whole)
+            is_rare = cases[function] > after.kwargs.get("nightly", cases[function])
+            item.add_marker(pytest.mark.nightly if is_rare else pytest.mark.whole)
         if item.get_closest_marker("whole") or item.get_closest_marker("nightly"):
             item.add_marker(pytest.mark.slow)
     if (seed := config.getoption("--shuffle")) is not None:

@@ -79,7 +79,7 @@ def test_the_falloff_is_that_of_the_projectors_image(world: World, blender: Blen
     assert falloff(Falloff(0.2, (1.0, 0.0)), *middle, world.projector.size) == pytest.approx(0.8)
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_a_bent_board_lies_elsewhere_on_the_projector(world: World, blender: Blender) -> None:
     """By as much as its points lie elsewhere; that of the samples is their mean."""
     flat, bent = (

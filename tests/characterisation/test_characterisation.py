@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation import DistortionModel, Observation, characterise, finest_periods, observe
+from fpplab.characterisation import DistortionModel, Observation, characterise
 from fpplab.characterisation.bundle import adjust_bundle, estimate_uncertainty
 from fpplab.characterisation.parameters import ErrorSizes, Model
 from fpplab.characterisation.problem import Problem
 from fpplab.core.geometry import Pinhole
-from fpplab.patterns.plan import Plan
-from fpplab.patterns.recording import Recording
-from fpplab.phase import decode
-from fpplab.targets import Target
 from tests.support.rigs import BOARD, CAMERA, DIAMOND, PAIR, SQUARE, observed, poses, truth_of, values
 
 
@@ -187,39 +181,3 @@ def test_the_truth_lies_within_its_uncertainty_in_repeats(tolerance: float | Non
     assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.15
     # Of chi squared with 22 degrees of freedom the mean of 40 has a standard deviation of 1.05.
     assert 22 - 4.2 < np.mean(distances) < 22 + 4.2
-
-
-# Real captures
-
-
-@pytest.mark.whole
-def test_real_captures_are_characterised(captures: Path) -> None:
-    plan, target = Plan.load("plan_slstudio_board"), Target.load("target_slstudio")
-    observations = []
-    for name in ("calseq1", "calseq2", "calseq3", "calseq4", "calseq5"):
-        frames = [cv2.imread(str(captures / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(12)]
-        decoded = decode(Recording(frames, plan, (1824, 1140)))
-        periods = finest_periods(plan, (1824, 1140))
-        observations.append(observe(name, np.mean(frames[:3], axis=0), decoded, target, periods))
-    assert [len(o.ids) for o in observations] == [117] * 5
-    found = characterise(observations, target, (1688, 1352), (1824, 1140))
-    assert found.left_out == {}
-    assert found.separate_px["camera"] < 0.243
-    assert found.separate_px["projector"] < 0.257
-    assert found.separate_px["stereo"] < 0.302
-    assert found.calibration.rms_px["camera"] < 0.075
-    assert found.calibration.rms_px["projector"] < 0.08
-    assert len(found.rejected) < 25
-    assert any("camera's image: upper left, left, lower left" in w for w in found.warnings)
-    assert found.leave_one_out_px is not None
-    assert found.leave_one_out_px["camera"] < 0.13
-    assert found.leave_one_out_px["projector"] < 0.14
-    assert found.calibration.camera.matrix[0, 0] == pytest.approx(2191.7, abs=2)
-    assert found.calibration.baseline_mm == pytest.approx(166.2, abs=0.4)
-    flat = characterise(observations, target, (1688, 1352), (1824, 1140), level="auto", refine_board=False)
-    # Points of the board that are off count as errors of detection, which the projector's reading shares.
-    assert flat.calibration.rms_px["camera"] < 0.34
-    assert flat.calibration.rms_px["projector"] < 0.32
-    assert flat.leave_one_out_px is not None
-    assert flat.leave_one_out_px["camera"] < 0.33
-    assert flat.leave_one_out_px["projector"] < 0.40

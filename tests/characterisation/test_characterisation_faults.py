@@ -238,6 +238,7 @@ def looked_at(image: np.ndarray, target: Target) -> None:
     observe("pose_1", image, SimpleNamespace(u=blank, v=blank, modulation=blank), target)  # type: ignore[arg-type]
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize(
     ("wrong", "cause"),
     [

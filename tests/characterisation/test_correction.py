@@ -39,7 +39,7 @@ def left_out_px(calibration: Calibration, fresh: list[Observation]) -> float:
     return float(np.hypot(judged.camera.rms_px, judged.projector.rms_px))
 
 
-@pytest.mark.whole_after(1)
+@pytest.mark.whole
 @pytest.mark.parametrize(("count", "allowed"), [(1, 1.5), (2, 1.3)])
 def test_a_change_is_corrected_nearly_as_by_a_new_characterisation(
     found: Characterisation, count: int, allowed: float

@@ -45,7 +45,7 @@ def test_version_is_printed(fpplab: Command) -> None:
     assert (done.code, done.out, done.err) == (0, f"fpplab {__version__}\n", "")
 
 
-@pytest.mark.whole_after(5)
+@pytest.mark.whole_after(2, nightly=8)
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: " ".join(path) or "fpplab")
 def test_h_is_help(path: tuple[str, ...]) -> None:
     long, short = (CliRunner().invoke(app, [*path, option]) for option in ("--help", "-h"))

@@ -42,12 +42,15 @@ def calibration(
 
 @pytest.mark.whole
 def test_five_poses_are_characterised(calibration: tuple[Path, dict]) -> None:  # type: ignore[type-arg]
-    _, found = calibration
+    path, found = calibration
+    stored = Calibration.load(path)
+    assert stored.camera.matrix[0, 0] == pytest.approx(2191.7, abs=2)
+    assert stored.baseline_mm == pytest.approx(166.2, abs=0.4)
     assert found["poses"] == 5
     assert not found["left_out"]
-    assert found["camera"]["rms_px"] <= 0.10
-    assert found["projector"]["rms_px"] <= 0.11
-    assert found["stereo_rms_px"] <= 0.36
+    assert found["camera"]["rms_px"] <= 0.075
+    assert found["projector"]["rms_px"] <= 0.08
+    assert found["stereo_rms_px"] <= 0.302
     assert found["joint_rms_px"] <= 0.11
     assert max(found["leave_one_out"].values()) <= 0.14
     assert found["model"] == "k3"

@@ -72,8 +72,7 @@ def played(rig: Rig, count: int, exposure_s: float = PLAN.exposure_s, play_s: fl
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("trigger", ["stepped", "triggered"])
-@pytest.mark.parametrize("bits", [8, 12])
+@pytest.mark.parametrize(("trigger", "bits"), [("stepped", 8), ("triggered", 12)])
 @pytest.mark.parametrize("rig_on", [rig_file, on_video])
 def test_frames_are_those_of_the_optics_to_the_last_bit(
     folder: Path, trigger: str, bits: int, rig_on: Callable[..., Rig]

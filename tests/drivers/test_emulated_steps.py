@@ -42,7 +42,7 @@ def stepped(rig: Rig) -> dict[str, CheckedStep]:
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("rig_on", [rig_file, pytest.param(on_video, marks=pytest.mark.whole)])
+@pytest.mark.parametrize("rig_on", [rig_file, pytest.param(on_video, marks=pytest.mark.nightly)])
 def test_a_sound_bench(folder: Path, rig_on: Callable[..., Rig]) -> None:
     found = stepped(rig_on(folder))
     assert list(found) == ALL

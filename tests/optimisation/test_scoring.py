@@ -60,6 +60,7 @@ def mesh_of(name: str) -> trimesh.Trimesh:
     return plate() if name == "plate" else placed(name)
 
 
+@pytest.mark.whole
 def test_figures_of_all_points_equal_those_of_the_comparison() -> None:
     mesh = placed("pillars")
     cloud = perfect_cloud(mesh, noise_mm=0.05)
@@ -105,8 +106,7 @@ def test_smcd_floor_is_the_score_of_a_perfect_measurement() -> None:
     assert found.surface_smcd_um < 0.05 * found.smcd_floor_um
 
 
-@pytest.mark.parametrize("wrong", [0, 1, 40])
-@pytest.mark.parametrize("turns", [1.0, -1.0, 0.75])
+@pytest.mark.parametrize(("wrong", "turns"), [(0, 1.0), (1, -1.0), (40, 0.75)])
 def test_wrong_fringe_orders_are_counted(wrong: int, turns: float) -> None:
     decoded = maps_of(perfect_cloud(plate()))
     places = np.flatnonzero(np.isfinite(decoded.u.ravel()))

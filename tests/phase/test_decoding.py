@@ -82,7 +82,7 @@ def test_decoding_inverts_encoding(plan, lattice):
     assert {m.dtype for m in (decoded.u, decoded.v, decoded.modulation, decoded.sigma)} == {np.dtype("f4")}
 
 
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=8)
 @given(
     steps=st.lists(st.integers(3, 13), min_size=3, max_size=3),
     base=st.floats(0.6, 1.0),

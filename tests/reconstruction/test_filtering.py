@@ -99,6 +99,7 @@ def wrong(images: list[Image], *truths: Floats) -> Mask:
     return found
 
 
+@pytest.mark.whole_after(1, nightly=2)
 @pytest.mark.parametrize("seed", range(3))
 def test_mixed_pixels_of_a_step_are_removed_and_nothing_else(seed: int) -> None:
     share = np.where(U < EDGE, 1.0, 0.0)

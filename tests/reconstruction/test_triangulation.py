@@ -221,6 +221,7 @@ def test_grid_mesh_is_cut_at_a_jump_and_only_there() -> None:
     assert (np.einsum("ij,ij->i", towards, corners[:, 0]) < 0.0).all()
 
 
+@pytest.mark.whole
 def test_quadric_distance_is_zero_on_a_sphere_and_the_noise_on_a_rough_plane() -> None:
     smooth = local_quadric_distance(triangulate(maps_of(sphere()), CALIBRATION))
     assert np.nanmedian(np.abs(smooth)) < 1e-3

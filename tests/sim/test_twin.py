@@ -197,7 +197,7 @@ def test_vibration_is_that_of_a_moved_item(twin: Twin) -> None:
     shaken = replace(twin.parameters, vibration_mm=shake, read_noise_e=0.0, full_well_e=1e9)
     twin = twin.with_parameters(shaken)  # has hardly any noise
     patterns = _patterns(twin)[:1]
-    frames = np.stack(twin.frames(0, 150 * patterns, SETTINGS)).astype(np.float64)
+    frames = np.stack(twin.frames(0, 60 * patterns, SETTINGS)).astype(np.float64)
     pose = twin.parameters.poses[0]
     moved = []
     for axis in range(3):

@@ -90,8 +90,14 @@ MISTAKES: dict[str, tuple[Plan, Change, str]] = {
 }
 
 
+ALIKE = {"late", "early", "128 stripes", "15 stripes", "8 and 32 stripes", "sign of y", "55 stripes"}
+"""Mistakes that another one stands for in a merge."""
+
+
 @pytest.mark.whole_after(1)
-@pytest.mark.parametrize("name", MISTAKES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.nightly if n in ALIKE else ()) for n in MISTAKES]
+)
 def test_a_mistake_is_named_with_what_to_write(name: str) -> None:
     plan, change, told = MISTAKES[name]
     seed = 500 + list(MISTAKES).index(name)

@@ -85,7 +85,7 @@ def within_time(trial: Trial) -> Iterator[None]:
     assert trial.clock.now() - begin < LONGEST_S
 
 
-@pytest.mark.whole_after(1)
+@pytest.mark.whole_after(1, nightly=3)
 @pytest.mark.parametrize("fault", ERRORS, ids=lambda fault: fault.name)
 def test_a_fault_at_every_command(bench: Bench, requests: int, fault: UsbFault) -> None:
     failed = [at for at in range(requests) if not survives(Trial(bench, at, fault))]

@@ -25,7 +25,8 @@ def wave_of(random: np.random.Generator, rms: Floats, cycles: float) -> Floats:
     return np.outer(wave, rms)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.whole_after(1)
+@pytest.mark.parametrize("seed", range(3))
 def test_noise_alone_is_no_change(seed: int) -> None:
     random = np.random.default_rng(seed)
     found = fit_fluctuation([series(random, np.zeros((24, 3))) for _ in range(6)])
