@@ -12,7 +12,7 @@ from fpplab.targets import Target
 from fpplab.targets.views import stretch_to_8_bits
 
 
-def explain_missing_board(image: NDArray[Any], target: Target) -> str | None:
+def explain_board_mismatch(image: NDArray[Any], target: Target) -> str | None:
     """Find the mistake in a board's description by detecting it under another."""
     # image (height, width)
     for description, other in similar_descriptions(target):

@@ -150,7 +150,7 @@ class Guide:
             return None
         judged_pose = judge(self.estimate.calibration, [observation]).poses[0]
         fit = PoseFit(judged_pose.camera, judged_pose.projector, limits=self.limits)
-        outlying_pose = self._outlying_pose(observation) if fit.contradicting_devices else None
+        outlying_pose = self._outlying_earlier_pose(observation) if fit.contradicting_devices else None
         return replace(fit, outlying_pose=outlying_pose)
 
     def add(self, observation: Observation) -> dict[str, str]:
@@ -190,20 +190,20 @@ class Guide:
             device: rms([residuals]) for device, residuals in zip(("camera", "projector"), pair, strict=True)
         }
 
-    def _outlying_pose(self, observation: Observation) -> str | None:
-        """Which of a few poses is in the wrong, if it is not the new one."""
+    def _outlying_earlier_pose(self, new: Observation) -> str | None:
+        """Name which of a few earlier poses is in the wrong, if it is not the new one."""
         assert self.estimate is not None
         if len(self.observations) >= self.limits.certain_poses:
             return None
         try:
-            joint = self.estimate.with_pose(observation)
+            joint = self.estimate.with_pose(new)
             remaining_rms = [
                 joint.without_pose(k).calibration.rms_px["joint"] for k in range(len(joint.observations))
             ]
         except CalibrationError:
             return None
         outlying_pose = joint.observations[int(np.argmin(remaining_rms))].name
-        return None if outlying_pose == observation.name else outlying_pose
+        return None if outlying_pose == new.name else outlying_pose
 
     def _view(self) -> RoughView:
         return RoughView.of(self.observations, self.target, self.sizes, self.first_known)

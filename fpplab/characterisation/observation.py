@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.characterisation.descriptions import explain_missing_board
+from fpplab.characterisation.descriptions import explain_board_mismatch
 from fpplab.characterisation.limits import LOCAL_FIT_LIMITS, USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.local_fits import coordinates_at_points
 from fpplab.core.conventions import Floats, Map
@@ -85,7 +85,7 @@ def observe(
 def _detect_board_part(name: str, image: NDArray[Any], target: Target) -> Detection:
     """Find part of a board that was not found whole, or raise `CalibrationError` with the reason."""
     missing = f"{name}: the board was not found in the image"
-    if cause := explain_missing_board(image, target):
+    if cause := explain_board_mismatch(image, target):
         raise CalibrationError(f"{missing}, {cause}")
     try:
         detection = detect_part(target.layout, image)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from fpplab.core.extras import EXTRAS
-from fpplab.core.host import package_version, required_packages
+from fpplab.core.host import extra_by_package, package_version
 from fpplab.core.system import BLENDER, USB, cache_directory, missing
 from fpplab.core.units import readable_bytes
 from fpplab.core.version import __version__
@@ -53,7 +53,7 @@ class DoctorFinding:
 def installed_versions() -> dict[str, str]:
     """List the versions of fpplab, of Python, and of all packages that fpplab asks for."""
     versions = {"fpplab": __version__, "python": platform.python_version(), "platform": platform.platform()}
-    for name, _ in required_packages():
+    for name in extra_by_package():
         if version := package_version(name):
             versions[name] = version
     return versions
@@ -61,7 +61,7 @@ def installed_versions() -> dict[str, str]:
 
 def check_packages() -> list[DoctorFinding]:
     """Look for the packages that fpplab always needs, and for those of each extra."""
-    lacking = [name for name, extra in required_packages() if not extra and not package_version(name)]
+    lacking = [name for name, extra in extra_by_package().items() if not extra and not package_version(name)]
     remedy = "install fpplab again: pip install --force-reinstall fpplab"
     findings = [
         DoctorFinding("packages", "wrong", f"without {', '.join(lacking)}", remedy)

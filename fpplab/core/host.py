@@ -20,25 +20,27 @@ def host_facts() -> dict[str, Any]:
         "host": platform.node(),
         "cores": os.cpu_count(),
         "packages": {
-            name: package_version(name) or "missing" for name, extra in required_packages() if not extra
+            name: package_version(name) or "missing"
+            for name, extra in extra_by_package().items()
+            if not extra
         },
     }
 
 
-def required_packages() -> list[tuple[str, str]]:
-    """List the packages that fpplab asks for, each with its extra; empty where it is always needed."""
+def extra_by_package() -> dict[str, str]:
+    """Map each package that fpplab asks for to its extra; empty where it is always needed."""
     # None where it runs without being installed.
     try:
         lines = metadata.requires("fpplab") or []
     except metadata.PackageNotFoundError:
-        return []
+        return {}
     extras: dict[str, str] = {}
     for line in lines:
         name = re.split(r"[^\w.-]", line, maxsplit=1)[0]
         extra = re.search(r"""extra == ['"]([\w-]+)['"]""", line)
         if name != "fpplab" and not (extra and extra.group(1) == "dev"):
             extras.setdefault(name, extra.group(1) if extra else "")
-    return list(extras.items())
+    return extras
 
 
 def package_version(distribution: str) -> str | None:

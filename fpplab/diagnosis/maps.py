@@ -13,7 +13,7 @@ NO_FRAMES = "the maps were decoded elsewhere, and there are no frames to judge t
 ONE_AXIS = "whether the calibration still holds: maps along both axes would show it"
 
 
-def diagnose_maps(cloud: Cloud, limits: DiagnosisLimits = USUAL_LIMITS) -> Diagnosis:
+def diagnose_without_frames(cloud: Cloud, limits: DiagnosisLimits = USUAL_LIMITS) -> Diagnosis:
     """Judge points by their epipolar lines alone: they are doubtful at best."""
     off_px, limit_px = systematic_epipolar_px(cloud), limits.of(StaleCalibrationLimits).max_epipolar_px
     if off_px is None:

@@ -30,7 +30,7 @@ from fpplab.optimisation.scoring import LIMITS, ArtefactFigures, TrueShape
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, check_unwrapping, decode
-from fpplab.phase.bounds import Bounds, widest_interval_share
+from fpplab.phase.bounds import DecodingBounds, widest_interval_share
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
@@ -180,7 +180,7 @@ class RigEvaluatorFactory:
         return RigEvaluator(self.rig, self.problem)
 
 
-def possible_coordinates(plan: Plan, calibration: Calibration, rig: Rig) -> Bounds:
+def possible_coordinates(plan: Plan, calibration: Calibration, rig: Rig) -> DecodingBounds:
     """Bound projector coordinates by the range of depths."""
     depth = first_stated(
         (plan.depth_mm, "plan: 'depth_mm'"), (rig.file.depth_mm, f"{rig.source}: 'depth_mm'")

@@ -57,7 +57,7 @@ class ScoringLimits:
 LIMITS = ScoringLimits()
 
 
-CoordinateBounds = dict[Axis, tuple[Map, Map]]
+ProjectorCoordinateBounds = dict[Axis, tuple[Map, Map]]
 """By axis the least and greatest projector coordinate in px that each pixel may have.
 
 The pixels around it are included, because a pixel at an edge sees more than its centre does.
@@ -90,7 +90,7 @@ class TrueShape:
         self._on_shape: Mask = np.isfinite(self._hits[..., 2])
         self._compared: Mask = _random_subset(self._on_shape, samples, random)
         self._sampled = self._surface[_random_subset(np.ones(len(self._surface), np.bool_), samples, random)]
-        self._expected: tuple[Calibration, CoordinateBounds] | None = None
+        self._expected: tuple[Calibration, ProjectorCoordinateBounds] | None = None
 
     def part(self, camera: Pinhole, corner: tuple[int, int], border: int) -> TrueShape:
         """Make the shape as a part of the camera's image sees it, compared at all of its pixels."""
@@ -206,7 +206,7 @@ class TrueShape:
             half = axis_length(calibration.projector.size, axis) / stripes / 2.0
             coordinate = decoded.coordinate(axis)
             u, v = pixels.T
-            lower, upper = (bound[v, u] for bound in self._coordinate_bounds(calibration)[axis])
+            lower, upper = (bound[v, u] for bound in self._projector_bounds(calibration)[axis])
             suspect = ~_within(coordinate[v, u], lower, upper, half)
             rechecked = pixels[suspect]
             true = self._neighbour_coordinates(rechecked, calibration, T_true_camera)[
@@ -235,13 +235,13 @@ class TrueShape:
         pose = calibration.T_projector_camera @ T_true_camera.inverse()
         return calibration.projector.project(pose.apply(hits)).reshape(len(pixels), len(around), 2)
 
-    def _coordinate_bounds(self, calibration: Calibration) -> CoordinateBounds:
+    def _projector_bounds(self, calibration: Calibration) -> ProjectorCoordinateBounds:
         """Bound the projector coordinate of each pixel; kept for the calibration that was asked for last."""
         if self._expected is None or self._expected[0] is not calibration:
-            self._expected = calibration, self._compute_bounds(calibration)
+            self._expected = calibration, self._compute_projector_bounds(calibration)
         return self._expected[1]
 
-    def _compute_bounds(self, calibration: Calibration) -> CoordinateBounds:
+    def _compute_projector_bounds(self, calibration: Calibration) -> ProjectorCoordinateBounds:
         pose, on_shape = calibration.T_projector_camera, self._on_shape
         true = calibration.projector.project(pose.apply(self._hits[on_shape]))
         bounds = []

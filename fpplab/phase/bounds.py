@@ -36,11 +36,13 @@ class PredictedCoordinate:
     predict: Callable[[Map], Map]  # maps (height, width) in px, NaN where unknown
 
 
-Bounds = Mapping[Axis, PossibleCoordinates | PredictedCoordinate]
+DecodingBounds = Mapping[Axis, PossibleCoordinates | PredictedCoordinate]
 """What the geometry tells of the projector coordinates along each axis."""
 
 
-def widest_interval_share(bounds: Bounds | None, axis: Axis, projector_size: tuple[int, int]) -> float | None:
+def widest_interval_share(
+    bounds: DecodingBounds | None, axis: Axis, projector_size: tuple[int, int]
+) -> float | None:
     # projector_size (width, height) px
     interval = (bounds or {}).get(axis)
     if not isinstance(interval, PossibleCoordinates):

@@ -22,7 +22,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase.biased_orders import mark_biased_orders
 from fpplab.phase.bounds import (
-    Bounds,
+    DecodingBounds,
     PossibleCoordinates,
     PredictedCoordinate,
     check_bounds,
@@ -51,7 +51,7 @@ _BLOCK = 1 << 18  # pixels that one thread decodes at a time (chosen)
 def decode(
     recording: Recording,
     progress: Progress = no_progress,
-    bounds: Bounds | None = None,
+    bounds: DecodingBounds | None = None,
 ) -> Decoded:
     """Find projector coordinates, modulation and uncertainty of every camera pixel.
 

@@ -14,12 +14,12 @@ from fpplab.core.conventions import AXES, Axis, Floats
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
-from fpplab.phase.bounds import Bounds, PossibleCoordinates, PredictedCoordinate
+from fpplab.phase.bounds import DecodingBounds, PossibleCoordinates, PredictedCoordinate
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 from fpplab.reconstruction.triangulation import camera_slopes, predict_coordinate
 
 
-def decoding_bounds(plan: Plan, calibration: Calibration, depth: DepthRange | None) -> Bounds:
+def decoding_bounds(plan: Plan, calibration: Calibration, depth: DepthRange | None) -> DecodingBounds:
     """Give what the geometry tells decoding: the range of depths, if any, and what guides the guided axis."""
     bounds: dict[Axis, PossibleCoordinates | PredictedCoordinate] = {}
     if depth is not None:

@@ -32,7 +32,7 @@ def run_triangulation(request: MapsRequest, observer: Observer | None = None) ->
     """Triangulate maps and write the cloud; without frames its points are never judged good."""
     from fpplab.clouds import CLOUD_SUFFIXES, save_cloud
     from fpplab.core.files import need_suffix, refuse_existing
-    from fpplab.diagnosis.maps import diagnose_maps
+    from fpplab.diagnosis.maps import diagnose_without_frames
     from fpplab.phase import Decoded
     from fpplab.reconstruction.points import triangulate
     from fpplab.reconstruction.triangulation import coordinate_noise
@@ -58,7 +58,7 @@ def run_triangulation(request: MapsRequest, observer: Observer | None = None) ->
         progress(0.5)
         noise = coordinate_noise(decoded)
         cloud = with_uncertainty(cloud, request.calibration, noise, lambda done: progress(0.5 + 0.5 * done))
-        result = MapsResult(decoded, cloud, diagnose_maps(cloud), stopwatch.seconds, request.out)
+        result = MapsResult(decoded, cloud, diagnose_without_frames(cloud), stopwatch.seconds, request.out)
         observer.result(result)
         result.diagnosis.require_usable(str(request.maps))
         save_cloud(cloud, request.out)

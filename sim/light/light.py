@@ -215,7 +215,7 @@ class Light:
     def _picture_of_state(self, setup: SceneState, levels: MirrorStates, index: int) -> PatternLevels:
         path = self._world.path
         if path == "transport":
-            return self._looked_up(setup, levels, index, None)
+            return self._looked_up_picture(setup, levels, index, None)
         if path == "reference" or any(setup.vibration_mm):  # a basis is not worth rendering for one picture
             return self._pictures.get(
                 (setup, levels, index),
@@ -227,14 +227,13 @@ class Light:
         whole: PatternLevels = np.tensordot(weights, rendered.pictures, axes=1)
         if self._world.is_translucent(setup.item):
             return whole  # scattering below the surface smooths the quantisation residual away
-        return whole + self._looked_up(setup, levels, index, basis)
+        return whole + self._looked_up_picture(setup, levels, index, basis)
 
-    def _looked_up(
-        self, setup: SceneState, levels: MirrorStates, index: int, basis: Basis | None
+    def _looked_up_picture(
+        self, setup: SceneState, levels: MirrorStates, index: int, subtracted: Basis | None
     ) -> PatternLevels:
-        """Look up several states at once, because their samples lie at the same places."""
-        # basis: whose linear combinations are subtracted, so that only the quantisation residual is looked
-        # up.
+        """Look up one picture, and several states at once, because their samples lie at the same places."""
+        # subtracted: its combinations are taken off, so that only the quantisation residual is looked up.
         width, height = self._world.camera.size
         max_batch = max(1, min(BATCH_PATTERNS, BATCH_BYTES // (4 * width * height)))
         if any(setup.vibration_mm):
@@ -243,7 +242,7 @@ class Light:
         first = index - index % batch
         states = range(first, min(first + batch, levels.count))
         pictures = self._pictures.get(
-            (setup, levels, basis, first), lambda: self._look_up(setup, levels, states, basis)
+            (setup, levels, subtracted, first), lambda: self._look_up(setup, levels, states, subtracted)
         )
         picture: PatternLevels = pictures[index - first]
         return picture

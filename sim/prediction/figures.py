@@ -16,7 +16,7 @@ from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
-from fpplab.phase.bounds import Bounds, widest_interval_share
+from fpplab.phase.bounds import DecodingBounds, widest_interval_share
 from fpplab.phase.order_risk import order_risk
 from fpplab.reconstruction.triangulation import camera_rays
 
@@ -71,7 +71,7 @@ def figures_of(
     calibration: Calibration,
     plan: Plan,
     surface: tuple[Mask, Mask],
-    bounds: Bounds | None = None,
+    bounds: DecodingBounds | None = None,
 ) -> MeasuredFigures:
     """Compute the figures of a measurement."""
     # decoded (height, width); surface: what `seen_surface` gives, (height, width)

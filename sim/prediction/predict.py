@@ -25,7 +25,7 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.phase.bounds import Bounds, PossibleCoordinates, PredictedCoordinate
+from fpplab.phase.bounds import DecodingBounds, PossibleCoordinates, PredictedCoordinate
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import coordinate_noise
@@ -171,7 +171,7 @@ class _Sampled:
         )
         return figures, decoded, cloud
 
-    def _bounds_of_rows(self) -> Bounds:
+    def _bounds_of_rows(self) -> DecodingBounds:
         def of_rows(
             known: PossibleCoordinates | PredictedCoordinate,
         ) -> PossibleCoordinates | PredictedCoordinate:

@@ -12,7 +12,7 @@ import pytest
 
 from fpplab.characterisation import DistortionModel, Observation, characterise, observe
 from fpplab.characterisation.board_diagnosis import find_description_error
-from fpplab.characterisation.descriptions import explain_missing_board
+from fpplab.characterisation.descriptions import explain_board_mismatch
 from fpplab.characterisation.limits import USUAL_LIMITS
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
@@ -259,7 +259,7 @@ def test_a_board_described_as_its_negative_is_named() -> None:
     board = Target(kind="charuco", size_mm=(60, 42), counts=(7, 4), spacing_mm=(6, 6), marker_mm=4.5,
                    dictionary="4x4_50")  # fmt: skip
     negative = board.model_copy(update={"foreground": 0.9, "background": 0.05})
-    cause = explain_missing_board(picture(board), negative)
+    cause = explain_board_mismatch(picture(board), negative)
     assert cause is not None
     assert "exchanged: 'foreground' should be 0.05 and 'background' 0.9" in cause
 
@@ -271,10 +271,10 @@ def test_charuco_boards_of_other_prints_are_named() -> None:
     earlier.setLegacyPattern(True)
     drawn = np.pad(earlier.generateImage((400, 300)), 40, constant_values=255)
     image = cv2.GaussianBlur(drawn, (0, 0), 1.0)
-    assert "as OpenCV before 4.6 drew it" in str(explain_missing_board(image, board))
+    assert "as OpenCV before 4.6 drew it" in str(explain_board_mismatch(image, board))
     negative = 255 - cv2.GaussianBlur(board.image(8.0), (0, 0), 1.0)
-    assert "as its negative" in str(explain_missing_board(negative, board))
-    assert explain_missing_board(np.full((200, 200), 128, np.uint8), board) is None
+    assert "as its negative" in str(explain_board_mismatch(negative, board))
+    assert explain_board_mismatch(np.full((200, 200), 128, np.uint8), board) is None
 
 
 def test_a_mirrored_charuco_board_is_named() -> None:

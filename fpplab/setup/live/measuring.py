@@ -75,10 +75,10 @@ class LiveMeasures:
         if len(self._images) < plan.images:
             return False
         images, self._images = self._images, []
-        self._measure(Recording(images, plan, self._projector_size, frame.settings.bits, "live"))
+        self._update_measures(Recording(images, plan, self._projector_size, frame.settings.bits, "live"))
         return True
 
-    def _measure(self, recording: Recording) -> None:
+    def _update_measures(self, recording: Recording) -> None:
         sample = FrameSample(recording)
         self.levels = levels_of_fringes(sample, self.black)
         self.findings = diagnose_frames(recording)

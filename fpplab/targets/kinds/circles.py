@@ -32,7 +32,7 @@ class CircleGrid(BoardLayout):
 
     def check(self) -> None:
         """Check the board; see `BoardLayout.check`."""
-        self.check_counts()
+        self.check_counts_without_markers()
         super().check()
         gaps = np.linalg.norm(self.points()[:, None] - self.points()[None], axis=-1)
         max_diameter = float(np.min(gaps[gaps > 0])) / (1 + 2 * LIMITS.circle_rim)

@@ -28,7 +28,7 @@ from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
 from sim.matching.geometry.board_shape import change_by_bend
-from sim.matching.geometry.surface_points import points_jacobian, slopes_by_move
+from sim.matching.geometry.surface_points import slopes_by_move, surface_and_projector_jacobian
 from sim.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
 from sim.matching.reference import Reference
 from sim.matching.samples import TILES, tile_numbers
@@ -235,7 +235,7 @@ class PoseResidual:
         """Compute the derivatives of the levels by the parameters of `refine_by_images`."""
         # returns (P, C)
         points = np.stack(self.pixels[::-1], axis=-1).astype(np.float64)
-        places = points_jacobian(points, at.calibration, at.poses[self.pose], free)
+        places = surface_and_projector_jacobian(points, at.calibration, at.poses[self.pose], free)
         across, down = ((points - points.mean(axis=0)) / np.ptp(points, axis=0)).T
         for levels, laplacian, level_gradient in zip(
             self.expected, self.laplacian, self.level_gradient, strict=True

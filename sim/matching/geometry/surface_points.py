@@ -15,15 +15,17 @@ from fpplab.core.geometry import Pinhole, RigidTransform, distort
 
 
 def surface_and_projector_points(pixels: Floats, calibration: Calibration, pose: RigidTransform) -> Floats:
-    # pixels (P, 2) px; returns (P, 4) mm
+    # pixels (P, 2) px; returns (P, 4): x and y on the board in mm, column and row of the projector in px
     points = _rays_on_board(calibration.camera.normalise(pixels), pose)
     lit = calibration.projector.project(points, calibration.T_projector_camera)
     return np.concatenate([pose.inverse().apply(points)[:, :2], lit], axis=-1)
 
 
-def points_jacobian(pixels: Floats, calibration: Calibration, pose: RigidTransform, free: int) -> Floats:
+def surface_and_projector_jacobian(
+    pixels: Floats, calibration: Calibration, pose: RigidTransform, free_intrinsics: int
+) -> Floats:
     """Differentiate what pixels see of a board by every parameter."""
-    # pixels (P, 2) px; returns (P, 4, 2 free + 12) rad
+    # pixels (P, 2) px; returns (P, 4, 2 free_intrinsics + 12)
     camera, projector, pair = calibration.camera, calibration.projector, calibration.T_projector_camera
     slopes = camera.normalise(pixels)
     points = _rays_on_board(slopes, pose)
@@ -35,10 +37,10 @@ def points_jacobian(pixels: Floats, calibration: Calibration, pose: RigidTransfo
     on_plane = points[:, 2, None, None] * (
         np.eye(3)[:, :2] - rays[:, :, None] * normal[None, None, :2] / fall[:, None, None]
     )
-    by_camera = by_point @ on_plane @ _by_intrinsics(slopes, camera)[..., :free]
+    by_camera = by_point @ on_plane @ _by_intrinsics(slopes, camera)[..., :free_intrinsics]
     local = pair.apply(points)
-    by_projector = np.zeros((len(points), 4, free))
-    by_projector[:, 2:] = _pixels_by_intrinsics(local[:, :2] / local[:, 2:], projector)[..., :free]
+    by_projector = np.zeros((len(points), 4, free_intrinsics))
+    by_projector[:, 2:] = _pixels_by_intrinsics(local[:, :2] / local[:, 2:], projector)[..., :free_intrinsics]
     by_pair = np.zeros((len(points), 4, 6))
     by_pair[:, 2:, :3] = by_local @ -_cross_product_matrices(local - pair.translation)
     by_pair[:, 2:, 3:] = by_local

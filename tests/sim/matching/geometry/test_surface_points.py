@@ -10,7 +10,7 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
-from sim.matching.geometry.surface_points import points_jacobian, surface_and_projector_points
+from sim.matching.geometry.surface_points import surface_and_projector_jacobian, surface_and_projector_points
 from tests.support.plane_twin import CAMERA, PAIR, PROJECTOR, tilted
 
 TERMS = 12
@@ -61,7 +61,7 @@ def _differences(pixels: Floats, change: Change, step: float) -> Floats:
 
 def test_derivatives_agree_with_central_differences() -> None:
     pixels = np.random.default_rng(0).uniform((100, 80), (350, 220), (50, 2))
-    found = points_jacobian(pixels, KNOWN, POSE, TERMS)
+    found = surface_and_projector_jacobian(pixels, KNOWN, POSE, TERMS)
     changes = _changes()
     assert found.shape == (50, 4, len(changes))
     for column, change in enumerate(changes):
