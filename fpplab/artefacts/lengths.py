@@ -7,6 +7,7 @@ flat faces, spheres, and the corners in which three flat faces meet.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -25,7 +26,7 @@ class FlatFace:
         """A point (3,) in mm on the face: the mean of its corners."""
         return np.asarray(np.concatenate(self.outlines).mean(axis=0))
 
-    @property
+    @cached_property
     def axes(self) -> Floats:
         """Unit vectors in rows (3, 3): two along the face, and its outward normal."""
         corners = self.outlines[0]

@@ -339,7 +339,7 @@ def compare(
     measured, error = points[counted], np.abs(distances[counted])
     to_cloud = nearest_neighbours(samples, measured)[0]
     scale = None if alignment is None else fit_scale(measured, AlignmentMesh(mesh), seed)
-    to_surface = None if cloud.pixels is None else _to_surface(samples, cloud, counted)
+    to_surface = None if cloud.pixels is None else distances_from_cloud(samples, cloud, counted)
     return Comparison(
         smcd_um=1e3 * (mcd(measured, samples) + float(to_cloud.mean())) / 2.0,
         smcd_floor_um=1e3 * smcd(feet[counted], samples),
@@ -462,8 +462,9 @@ def _to_mesh(points: Floats, mesh: trimesh.Trimesh) -> tuple[Floats, Floats]:
     return distances, feet
 
 
-def _to_surface(samples: Floats, cloud: Cloud, counted: Mask) -> Floats:
-    """Compute distances (M,) to the surface that the counted points span over the pixel grid."""
+def distances_from_cloud(samples: Floats, cloud: Cloud, counted: Mask) -> Floats:
+    """Compute distances of samples to the surface that the counted points span over the pixel grid."""
+    # samples (M, 3) mm; counted (N,); returns (M,) mm
     vertices, faces = cloud.grid_mesh()
     faces = faces[counted[faces].all(axis=1)]
     if len(faces) == 0:

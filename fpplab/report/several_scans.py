@@ -20,7 +20,14 @@ from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
 from fpplab.report.scan_section import ROUGHNESS
 from fpplab.report.wording import NOT_KNOWN, count_text, number_text
-from fpplab.results.several_scans import CloudDifference, ScanRecord, ScansResult, noise_um, roughness_um
+from fpplab.results.several_scans import (
+    CloudDifference,
+    ScanRecord,
+    ScansResult,
+    noise_um,
+    plan_differences,
+    roughness_um,
+)
 
 
 def write_scans_report(path: Path, result: ScansResult) -> None:
@@ -35,6 +42,7 @@ def write_scans_report(path: Path, result: ScansResult) -> None:
     )
     by_name = {scan.name: scan for scan in scans}
     sections = [
+        *_plan_sections(result),
         _surfaces_section(scans),
         *_map_sections(scans),
         *_difference_sections(result.differences, by_name),
@@ -66,6 +74,15 @@ def _figures(scans: Sequence[ScanRecord]) -> ReportTable:
         for scan in scans
     )
     return ReportTable(("Scan", "Verdict", "Points", "Roughness in µm", "Noise in µm"), rows, ROUGHNESS)
+
+
+def _plan_sections(result: ScansResult) -> list[ReportSection]:
+    differences = plan_differences(result.scans)
+    if not differences:
+        return []
+    rows = tuple((name, *values.values()) for name, values in differences.items())
+    table = ReportTable(("", *next(iter(differences.values()))), rows, "As plan files call them.")
+    return [ReportSection("Plans", "What the plans differ by; all else is the same.", (table,))]
 
 
 def _surfaces_section(scans: Sequence[ScanRecord]) -> ReportSection:

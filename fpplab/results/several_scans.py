@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,10 @@ from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud, local_quadric_distance
+from fpplab.core import config
 from fpplab.core.conventions import Image
 from fpplab.diagnosis import Diagnosis
+from fpplab.patterns.plan import Plan
 from fpplab.results.provenance import Provenance
 
 
@@ -40,6 +43,7 @@ class ScanRecord:
     calibration: Calibration | None  # that it was reconstructed with, where it is recorded
     diagnosis: Diagnosis | None  # whether to believe it, where that is recorded or can be found out
     frame: tuple[Image, int] | None  # of the finest fringes, and its bit depth; None for a cloud alone
+    plan: Plan | None = None  # that it was taken by; None for a cloud alone
 
     def summary(self) -> dict[str, Any]:
         judged = self.diagnosis.summary() if self.diagnosis else {"verdict": None}
@@ -76,6 +80,24 @@ class CloudDifference:
         }
 
 
+def plan_differences(scans: Sequence[ScanRecord]) -> dict[str, dict[str, str]]:
+    """Find what plans differ by: values by scan, by what is not the same in all."""
+    terms = {scan.name: _plan_terms(scan.plan) for scan in scans if scan.plan is not None}
+    names = dict.fromkeys(name for values in terms.values() for name in values)
+    rows = {name: {scan: values.get(name, "–") for scan, values in terms.items()} for name in names}
+    return {name: row for name, row in rows.items() if len(set(row.values())) > 1}
+
+
+def _plan_terms(plan: Plan) -> dict[str, str]:
+    terms = {}
+    for axis in plan.axes:
+        sets = [plan.fringes[index] for index in plan.sets_along(axis)]
+        terms[f"stripes along {axis}"] = ", ".join(f"{fringe.stripes:g}" for fringe in sets)
+        terms[f"images along {axis}"] = ", ".join(str(fringe.images) for fringe in sets)
+    terms["images"] = str(plan.images)
+    return terms | {name: str(value) for name, value in config.plain(plan).items() if name != "fringes"}
+
+
 @dataclass(frozen=True, eq=False)
 class ScansResult:
     """Several scans, and the difference of each from the first."""
@@ -88,6 +110,7 @@ class ScansResult:
         return {
             "scans": [scan.summary() for scan in self.scans],
             "differences": [difference.summary() for difference in self.differences],
+            "plans": plan_differences(self.scans),
         }
 
     def summary(self) -> dict[str, Any]:

@@ -78,7 +78,7 @@ def read_scan(path: Path, name: str) -> ScanRecord:
     source = session_provenance(session, calibration).with_values(judged=judged_at)
     recording = session.recording(verify=False)
     frame = recording.finest()[1][0], recording.bits
-    return ScanRecord(name, source, cloud, calibration, diagnosis, frame)
+    return ScanRecord(name, source, cloud, calibration, diagnosis, frame, session.plan)
 
 
 def _diagnosis(

@@ -28,11 +28,12 @@ def predict_command(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Predict a measurement without making it: distance, noise, completeness, wrong orders and time.
+    """Predict a measurement without making it: distance, lengths, noise, completeness, wrong orders and time.
 
-    Each figure has an interval of 95 %: of the scatter of the noise, of the uncertainty of the calibration,
-    and of what twin and bench differ by, which `fpplab match` writes next to the rig file
-    (`discrepancy.yaml`). A sample of the image's rows is simulated.
+    The distance is that which `fpplab compare --align` will give, beside what the alignment removes. Each
+    figure has an interval of 95 %: of the scatter of the noise, of the uncertainty of the twin's geometry
+    (`calibration.yaml`), and of what twin and bench differ by (`discrepancy.yaml`); `fpplab match` writes
+    both next to the rig file. A sample of the image's rows is simulated.
 
     Example: `fpplab predict --rig matched/rig.yaml --plan plan_paper --item pyramid`
     """
@@ -50,7 +51,8 @@ def predict_command(
 
 
 UNITS = {
-    "distance_um": ("distance from the surface", "µm", 1.0),
+    "distance_um": ("distance from the surface, aligned", "µm", 1.0),
+    "place_um": ("distance that the alignment removes", "µm", 1.0),
     "noise_um": ("noise", "µm", 1.0),
     "completeness": ("completeness", "%", 100.0),
     "wrong_order": ("chance of a wrong order", "", 1.0),
@@ -69,15 +71,21 @@ def _show(answer: dict[str, Any]) -> None:
     console.table(
         f"Prediction for the {answer['item']}", ["figure", "predicted", "at least", "at most"], rows
     )
+    if answer["lengths"]:
+        table = [
+            [one["name"], *(f"{one[key]:.4f}" for key in ("true_mm", "value", "low", "high"))]
+            for one in answer["lengths"]
+        ]
+        console.table("Lengths in mm", ["", "true", "predicted", "at least", "at most"], table)
     if not answer["matched"]:
         console.log_status(
             "no discrepancy.yaml next to the rig file: what the simulation lacks is not in the intervals"
         )
-    if answer["matched"] and answer["surface"] is None:
+    if not answer["surface_known"]:
         item = answer["item"]
         console.log_status(
-            f"the surface of the {item} is that of the twin's file: `fpplab match --surface {item}=SESSION` "
-            "matches it to a scan"
+            f"no scan has shown the surface of the {item}, so that noise and distance are those of any "
+            f"reflectance: `fpplab match --surface {item}=SESSION` matches it to a scan"
         )
     if answer["compared_stripes"]:
         console.log_status(

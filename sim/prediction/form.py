@@ -7,41 +7,65 @@ that a small deformation hardly matters next to a large noise.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-import trimesh
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison.alignment import AlignmentMesh
-from fpplab.core.conventions import Floats, Mask
+from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from fpplab.reconstruction.triangulation import CoordinateNoise
 from fpplab.reconstruction.uncertainty import displacements_by_mode, rigid_motions
+from sim.prediction.figures import SeenShape
+
+DRAWS = 500  # of calibrations (chosen: ends of an interval of 95 % vary by a few per cent)
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationEffects:
+    """What calibrations do to a measurement that are as likely as the one at hand, drawn K times."""
+
+    distance: Floats  # factors of the distance from the true shape, after an alignment, (K,)
+    place_um: Floats  # RMS motion that the alignment removes, (K,)
 
 
 def form_error_by_mode(
     points: Floats, normals: Floats, calibration: Calibration, noise: CoordinateNoise
-) -> Floats:
-    """Compute what the modes of calibration error leave of form along the normals, after an alignment."""
-    # points (N, 3) mm; normals (N, 3); returns (N, n) mm
+) -> tuple[Floats, Floats]:
+    """Split what the modes of calibration error do: form along the normals, and what an alignment removes."""
+    # points (N, 3) mm; normals (N, 3); returns (N, n), (N, 3, n), both in mm
+    motions = rigid_motions(points - points.mean(axis=0))
     moved = np.einsum("ni,nik->nk", normals, displacements_by_mode(points, calibration, noise))
-    rigid = np.einsum("ni,nik->nk", normals, rigid_motions(points - points.mean(axis=0)))
+    rigid = np.einsum("ni,nik->nk", normals, motions)
     # Motions within a plane leave no trace: then the smallest is taken.
-    return np.asarray(moved - rigid @ np.linalg.lstsq(rigid, moved, rcond=1e-9)[0])
+    motion = np.linalg.lstsq(rigid, moved, rcond=1e-9)[0]
+    return np.asarray(moved - rigid @ motion), motions @ motion
 
 
-def distance_factors(
-    cloud: Cloud, on_shape: Mask, mesh: trimesh.Trimesh, calibration: Calibration, noise: CoordinateNoise
-) -> Floats:
-    """Draw factors by which calibration errors change the mean distance from a true surface."""
-    # on_shape (height, width); returns (500,)
-    if calibration.uncertainty is None:
-        return np.ones(1)
-    assert cloud.pixels is not None
-    u, v = cloud.pixels.T
-    points = cloud.points[on_shape[v, u]]
+def calibration_effects(
+    cloud: Cloud,
+    shape: SeenShape,
+    calibration: Calibration,
+    noise: CoordinateNoise,
+    aligned: RigidTransform | None = None,
+) -> CalibrationEffects:
+    """Draw what calibration errors do to distance and place; `aligned` moved the shape to the points."""
+    points = cloud.points[shape.on_it(cloud)]
     sample = points[:: max(1, len(points) // 4_000)].astype(np.float64)  # some 4,000 give the mean
-    distances, _, normals = AlignmentMesh(mesh).residuals(sample, RigidTransform.identity())
-    modes = form_error_by_mode(sample, normals, calibration, noise)
-    drawn = np.random.default_rng(0).standard_normal((500, modes.shape[1]))
-    return np.asarray(np.abs(distances + drawn @ modes.T).mean(axis=1) / np.abs(distances).mean())
+    away = np.zeros_like(sample) if aligned is None else sample - aligned.inverse().apply(sample)
+    if calibration.uncertainty is None:
+        return CalibrationEffects(np.ones(1), 1e3 * _rms_lengths(away[..., None]))
+    distances, _, normals = AlignmentMesh(shape.mesh).residuals(sample, RigidTransform.identity())
+    form, motion = form_error_by_mode(sample, normals, calibration, noise)
+    drawn = np.random.default_rng(0).standard_normal((DRAWS, form.shape[1]))
+    factors = np.abs(distances + drawn @ form.T).mean(axis=1) / np.abs(distances).mean()
+    few = slice(None, None, 10)  # of a rigid motion
+    moved = away[few, :, None] + motion[few] @ drawn.T
+    return CalibrationEffects(np.asarray(factors), 1e3 * _rms_lengths(moved))
+
+
+def _rms_lengths(moved: Floats) -> Floats:
+    """Root mean square length (K,) of displacements (N, 3, K)."""
+    return np.asarray(np.sqrt(np.square(moved).sum(axis=1).mean(axis=0)))

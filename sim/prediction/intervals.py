@@ -9,8 +9,9 @@ import numpy as np
 from scipy.special import erfc, erfcinv, ndtri
 
 from fpplab.core.conventions import Floats
-from sim.prediction.discrepancy import COVERAGE, Discrepancy
+from sim.prediction.discrepancy import COVERAGE, USUAL_DISTANCE, USUAL_NOISE, USUAL_SHARE, Discrepancy
 from sim.prediction.figures import MeasuredFigures
+from sim.prediction.form import DRAWS, CalibrationEffects
 
 
 @dataclass(frozen=True)
@@ -30,53 +31,62 @@ class FigureInterval:
 
 def figure_intervals(
     draws: Sequence[MeasuredFigures],
-    by_calibration: Floats,
+    effects: CalibrationEffects,
     discrepancy: Discrepancy,
-    of_surface: float,
+    by_surface: Floats,
     stripes: float,
 ) -> dict[str, FigureInterval]:
     """Compute intervals by noise, calibration, surface, and what bench and twin differed by."""
     # Flicker and vibration now and then make a measurement much worse, so that distance and noise are the
-    # medians of their draws. The noise of a surface is at most inversely proportional to its reflectance.
-    # by_calibration (K,)
+    # medians of their draws. by_surface (K,) are equally likely factors of the noise, in any order.
     values = {name: np.array([getattr(drawn, name) for drawn in draws]) for name in draws[0].summary()}
-    # Of one measurement about the middle of the draws.
-    spread = {
-        name: float(drawn.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(drawn))) for name, drawn in values.items()
-    }
+    spread = {name: of_one_measurement(drawn) for name, drawn in values.items()}
     usual = {name: float(np.median(drawn)) for name, drawn in values.items()}
     relative = {name: spread[name] / max(usual[name], 1e-12) for name in usual}
     contrast = discrepancy.contrast.sigma(stripes) if discrepancy.contrast else 0.0
-    light = float(np.hypot(of_surface, contrast))
-    noise = float(np.hypot(discrepancy.noise.sigma if discrepancy.noise else 0.0, light))
-    distance = float(np.hypot(discrepancy.distance.sigma, light)) if discrepancy.distance else noise
-    share = discrepancy.completeness.sigma if discrepancy.completeness else 0.0
+    noise = float(np.hypot(discrepancy.noise.sigma(USUAL_NOISE) if discrepancy.noise else 0.0, contrast))
+    distance = float(np.hypot(distance_sigma(discrepancy), contrast)) if discrepancy.distance else noise
+    share = discrepancy.completeness.sigma(USUAL_SHARE) if discrepancy.completeness else 0.0
     reach = COVERAGE * float(np.hypot(spread["completeness"], share))
     complete, risk = (float(values[name].mean()) for name in ("completeness", "wrong_order"))
+    noise_um = _interval_with_factor(
+        usual["noise_um"], by_surface, float(np.hypot(relative["noise_um"], noise))
+    )
+    expected = usual["distance_um"] * float(np.median(effects.distance))
+    of_distance = np.resize(effects.distance, DRAWS) / np.median(effects.distance)
     return {
         "distance_um": _interval_with_factor(
-            usual["distance_um"] * by_calibration, float(np.hypot(relative["distance_um"], distance))
+            expected,
+            of_distance * np.random.default_rng(0).choice(by_surface, DRAWS),
+            float(np.hypot(relative["distance_um"], distance)),
         ),
-        "noise_um": _interval_with_factor(
-            np.array([usual["noise_um"]]), float(np.hypot(relative["noise_um"], noise))
-        ),
+        "place_um": FigureInterval(*np.quantile(effects.place_um, (0.5, 0.025, 0.975)).tolist()),
+        "noise_um": noise_um,
         "completeness": FigureInterval(complete, max(0.0, complete - reach), min(1.0, complete + reach)),
         # The risk falls like exp(-d²/2) in the noise: it is bounded by that of a noise that is off.
-        "wrong_order": FigureInterval(risk, *_risk_ends(risk, noise + relative["noise_um"])),
+        "wrong_order": FigureInterval(risk, *_risk_ends(risk, noise_um)),
     }
 
 
-def _interval_with_factor(values: Floats, relative: float) -> FigureInterval:
-    """Median and interval of equally likely values that a log-normal factor multiplies."""
-    steps = (np.arange(1_000) + 0.5) / 1_000  # equally likely
-    factors = np.exp(relative * ndtri(steps))
-    low, high = np.quantile(values[:, None] * factors, (0.025, 1.0 - 0.025))
-    return FigureInterval(float(np.median(values)), float(low), float(high))
+def of_one_measurement(values: Floats) -> float:
+    """Standard deviation of one measurement about the middle of some draws (n,)."""
+    return float(values.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(values)))
 
 
-def _risk_ends(risk: float, relative: float) -> tuple[float, float]:
-    """Ends of the probability of a wrong order, where the noise is off by a relative standard deviation."""
+def distance_sigma(discrepancy: Discrepancy) -> float:
+    """Relative standard deviation of distances by what bench and twin differed by."""
+    return discrepancy.distance.sigma(USUAL_DISTANCE) if discrepancy.distance else 0.0
+
+
+def _interval_with_factor(value: float, likely: Floats, relative: float) -> FigureInterval:
+    """Interval of a value times equally likely factors (K,) and a log-normal one."""
+    factors = np.exp(relative * ndtri((np.arange(1_000) + 0.5) / 1_000))
+    low, high = np.quantile(likely[:, None] * factors, (0.025, 1.0 - 0.025))
+    return FigureInterval(value, value * float(low), value * float(high))
+
+
+def _risk_ends(risk: float, noise: FigureInterval) -> tuple[float, float]:
+    """Ends of the probability of a wrong order, by those of the noise."""
     distance = float(erfcinv(min(max(risk, 1e-300), 1.0)))
-    factor = float(np.exp(COVERAGE * relative))
-    low, high = float(erfc(distance * factor)), float(erfc(distance / factor))
+    low, high = (float(erfc(distance * noise.value / end)) for end in (noise.low, noise.high))
     return min(low, risk), max(high, risk)  # the smallest numbers are rounded to nothing

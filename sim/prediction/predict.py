@@ -13,12 +13,17 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from scipy.special import ndtri
 
-from fpplab.calibration.model import Calibration
+from fpplab.calibration.model import Calibration, Uncertainty
 from fpplab.clouds import Cloud
-from fpplab.core.conventions import Map, Mask
+from fpplab.clouds.cloud import CloudPoints
+from fpplab.comparison.alignment import LIMITS, AlignmentMesh, refine_pose
+from fpplab.core import config
+from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.depth import first_stated
-from fpplab.core.errors import ConfigError
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Rows
 from fpplab.patterns.fringes import make_patterns
@@ -32,12 +37,17 @@ from fpplab.reconstruction.triangulation import coordinate_noise
 from sim.bench import VirtualBench
 from sim.part_surface import PartSurface
 from sim.prediction.discrepancy import Discrepancy
-from sim.prediction.figures import MeasuredFigures, figures_of, seen_surface
-from sim.prediction.form import distance_factors
-from sim.prediction.intervals import FigureInterval, figure_intervals
+from sim.prediction.figures import SeenShape, figures_of, seen_surface
+from sim.prediction.form import calibration_effects
+from sim.prediction.intervals import FigureInterval, distance_sigma, figure_intervals
+from sim.prediction.lengths import PredictedLength, predicted_lengths
 from sim.sampling import ImagePartSampler
+from sim.world import World
+from sim.world.surface import surface_of
 
 BAND, MARGIN = 12, 2  # rows of a band, and how many at each of its ends serve as neighbours alone
+DRAWN_SCANS = 8  # that figures are the medians of (chosen)
+ALIGNED_POINTS = 10_000  # of a scan (chosen: by noise of 50 µm it is then placed within 1 µm)
 
 
 @dataclass(frozen=True)
@@ -45,12 +55,14 @@ class Prediction:
     """What a measurement will give."""
 
     item: str  # name of the item
-    figures: dict[str, FigureInterval]  # by attribute of `MeasuredFigures`, and `seconds`
+    figures: dict[str, FigureInterval]  # by attribute of `MeasuredFigures`, `place_um` and `seconds`
     images: int  # number of images
     pixels: int  # number of pixels on the item that were simulated
     stripes: float  # of the finest fringes
     discrepancy: Discrepancy | None  # that the intervals contain; None for a rig that is no matched twin
     surface: PartSurface | None = None  # of the item as it was matched to a scan; None where it was not
+    surface_known: bool = True  # whether it was matched, a part of its material compared, or it is the truth
+    lengths: tuple[PredictedLength, ...] = ()  # of an artefact
 
     def summary(self) -> dict[str, Any]:
         """Give plain values, as the command line prints them."""
@@ -58,10 +70,12 @@ class Prediction:
         return {
             "item": self.item,
             **{name: figure.summary() for name, figure in self.figures.items()},
+            "lengths": [length.summary() for length in self.lengths],
             "images": self.images,
             "pixels": self.pixels,
             "matched": discrepancy is not None,
             "surface": self.surface.summary() if self.surface else None,
+            "surface_known": self.surface_known,
             "looks_like": discrepancy.looks_like if discrepancy else None,
             "not_for": discrepancy.not_for if discrepancy else None,
             "compared_stripes": self._compared_stripes,
@@ -79,37 +93,89 @@ def predict(
     """Predict a measurement of an item on an open rig of a simulation, by about `pixels` of its pixels."""
     if not isinstance(rig.simulation, VirtualBench):
         raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
-    sampler, folder = rig.simulation.image_part_sampler(), Path(rig.source).parent
-    used_calibration = calibration or _with_uncertainty_beside(sampler.calibration, folder)
+    sampler, source = rig.simulation.image_part_sampler(), Path(rig.source)
+    # What is not known is the geometry of the twin's bench, as its own calibration says.
+    known = replace(calibration or sampler.calibration, uncertainty=_uncertainty_beside(source.parent))
     mesh = sampler.mesh(item)
-    seen, lit = seen_surface(mesh, used_calibration)
+    seen, lit = seen_surface(mesh, known)
     if not lit.any():
         raise ConfigError(f"{rig.source}: no pixel sees lit surface of the item '{item}'")
     rows, inner = choose_sampled_rows(seen, pixels)
-    counted = np.zeros_like(seen)
-    counted[inner] = True
-    study = _Sampled(rig, plan, item, used_calibration, sampler, mesh, rows, (seen & counted, lit & counted))
+    study = _Sampled(rig, plan, item, known, sampler, rows)
     # Noise, flicker and vibration are drawn anew; the last two are common to a whole frame.
-    draws = [study.measured(seed) for seed in range(8)]
-    _, decoded, cloud = draws[0]
-    discrepancy = Discrepancy.beside(Path(rig.source))
+    measured = [study.measured(seed) for seed in range(DRAWN_SCANS)]
+    pose = aligned_pose(measured[0][1], mesh, seen)
+    shape = SeenShape.of(mesh.copy().apply_transform(pose.matrix), known, inner)
+    target = AlignmentMesh(shape.mesh)
+    draws = [(decoded, _aligned(cloud, shape, target)) for decoded, cloud in measured]
+    discrepancy = Discrepancy.beside(source)
     surface = sampler.surface(item)
+    decoded, cloud = draws[0]
+    noise = coordinate_noise(decoded)
+    bounds, size = study.bounds, known.projector.size
+    by_surface = noise_by_surface(rig.simulation.world, item, discrepancy)
     figures = figure_intervals(
-        [measured for measured, _, _ in draws],
-        distance_factors(cloud, seen & counted, mesh, used_calibration, coordinate_noise(decoded)),
+        [figures_of(*draw, shape, plan, bounds, size) for draw in draws],
+        calibration_effects(cloud, shape, known, noise, pose),
         discrepancy or Discrepancy(),
-        surface.relative_sigma if surface else 0.0,
+        by_surface,
         plan.most_stripes,
     )
+    off_mm = 1e-3 * figures["distance_um"].value * distance_sigma(discrepancy or Discrepancy())
+    lengths = predicted_lengths([cloud for _, cloud in draws], shape, known, noise, off_mm)
     seconds = plan_seconds(rig, plan)
     figures["seconds"] = FigureInterval(seconds, seconds, seconds)
-    sampled = int(np.count_nonzero(seen & counted))
-    return Prediction(item, figures, len(study.patterns), sampled, plan.most_stripes, discrepancy, surface)
+    return Prediction(
+        item=item,
+        figures=figures,
+        lengths=lengths,
+        images=len(study.patterns),
+        pixels=int(np.count_nonzero(shape.counted)),
+        stripes=plan.most_stripes,
+        discrepancy=discrepancy,
+        surface=surface,
+        surface_known=len(by_surface) == 1 or surface is not None,
+    )
 
 
-def _with_uncertainty_beside(true: Calibration, folder: Path) -> Calibration:
+def _uncertainty_beside(folder: Path) -> Uncertainty | None:
     path = folder / "calibration.yaml"
-    return replace(true, uncertainty=Calibration.load(path).uncertainty) if path.is_file() else true
+    return Calibration.load(path).uncertainty if path.is_file() else None
+
+
+def aligned_pose(cloud: Cloud, mesh: trimesh.Trimesh, seen: Mask) -> RigidTransform:
+    """Find the motion that places a mesh, in the camera's frame, on the points of pixels that see it."""
+    # The mesh is where the points are but for errors of the calibration, and no other pose is searched.
+    assert cloud.pixels is not None
+    u, v = cloud.pixels.T
+    return _refined(cloud.points[seen[v, u]], AlignmentMesh(mesh)).inverse()
+
+
+def _refined(points: CloudPoints, target: AlignmentMesh) -> RigidTransform:
+    if not len(points):
+        raise DataError("no point lies on the true shape: check the item's pose, light and exposure")
+    few = points[:: max(1, len(points) // ALIGNED_POINTS)].astype(np.float64)
+    return refine_pose(few, target, RigidTransform.identity(), LIMITS.fine_rounds)[0]
+
+
+def _aligned(cloud: Cloud, shape: SeenShape, target: AlignmentMesh) -> Cloud:
+    """Move a cloud onto the shape: vibration displaces each scan as a whole."""
+    pose = _refined(cloud.points[shape.on_it(cloud)], target)
+    return replace(cloud, points=pose.apply(cloud.points.astype(np.float64)).astype(np.float32))
+
+
+def noise_by_surface(world: World, item: str, discrepancy: Discrepancy | None) -> Floats:
+    """Equally likely factors of the noise, by what is not known of an item's surface."""
+    # Noise is at most inversely proportional to the reflectance. Where no scan has shown the material of a
+    # twin's part, any reflectance up to 1 is as likely; the world of no twin is itself the truth.
+    material = world.material_of(item)
+    surface, steps = surface_of(material), (np.arange(1_000) + 0.5) / 1_000
+    if surface is not None:
+        return np.asarray(np.exp(surface.relative_sigma * ndtri(steps)))
+    parts = discrepancy.parts if discrepancy else (item,)
+    if any(part in world.items and world.material_of(part) == material for part in parts):
+        return np.ones(1)
+    return float(config.plain(material)["reflectance"]) / steps
 
 
 def plan_seconds(rig: Rig, plan: Plan) -> float:
@@ -130,7 +196,8 @@ def choose_sampled_rows(item_mask: Mask, pixels: int) -> tuple[Rows, Rows]:
     if count * BAND >= end - first:
         every = np.arange(first, end)
         return every, every
-    starts = np.rint(np.linspace(first, end - BAND, count)).astype(np.intp)
+    # In the middle of equal parts, so that the item's own edges count no more than they are.
+    starts = np.rint(first + (np.arange(count) + 0.5) * (end - first) / count - BAND / 2).astype(np.intp)
     band = np.arange(BAND)
     rows, inner = (np.unique(starts[:, None] + part) for part in (band, band[MARGIN:-MARGIN]))
     return rows, inner
@@ -145,9 +212,7 @@ class _Sampled:
     item: str
     calibration: Calibration
     sampler: ImagePartSampler
-    mesh: trimesh.Trimesh
     rows: Rows
-    surface: tuple[Mask, Mask]  # pixels that see the item, and those where it is lit as well
 
     def __post_init__(self) -> None:
         caps = self.rig.projector.caps
@@ -156,20 +221,15 @@ class _Sampled:
             (self.plan.depth_mm, "plan: 'depth_mm'"),
             (self.rig.file.depth_mm, f"{self.rig.source}: 'depth_mm'"),
         )
-        self._bounds = decoding_bounds(self.plan, self.calibration, depth)
+        self.bounds = decoding_bounds(self.plan, self.calibration, depth)
 
-    def measured(self, seed: int) -> tuple[MeasuredFigures, Decoded, Cloud]:
+    def measured(self, seed: int) -> tuple[Decoded, Cloud]:
         settings = self.rig.camera_settings(self.plan.exposure_s, self.plan.bits)
         frames = self.sampler.frames(self.item, self.patterns, settings, self.rows, seed)
         size, name = self.calibration.projector.size, f"the sample of the {self.item}"
-        of_rows = self._bounds_of_rows()
         recording = Recording(frames, self.plan, size, settings.bits, name)
-        decoded = self._placed(decode(recording, bounds=of_rows))
-        decoded, cloud = points_of(decoded, self.calibration, self.plan)
-        figures = figures_of(
-            decoded, cloud, self.mesh, self.calibration, self.plan, self.surface, self._bounds
-        )
-        return figures, decoded, cloud
+        decoded = self._placed(decode(recording, bounds=self._bounds_of_rows()))
+        return points_of(decoded, self.calibration, self.plan)
 
     def _bounds_of_rows(self) -> DecodingBounds:
         def of_rows(
@@ -182,7 +242,7 @@ class _Sampled:
         def cut(values: Map) -> Map:
             return np.ascontiguousarray(values[self.rows])
 
-        return {axis: of_rows(known) for axis, known in self._bounds.items()}
+        return {axis: of_rows(known) for axis, known in self.bounds.items()}
 
     def _whole(self, values: Any) -> Any:
         """Put a map of the rows where they are in the image; NaN, or 0 in flags, elsewhere."""

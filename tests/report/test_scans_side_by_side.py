@@ -16,11 +16,13 @@ from fpplab.diagnosis import Diagnosis, Finding, Verdict
 from fpplab.diagnosis.causes.flicker import FLICKER
 from fpplab.diagnosis.causes.wrong_plan import WRONG_PLAN
 from fpplab.diagnosis.record import load_diagnosis, save_diagnosis
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.report.cloud_view import CloudQuantity, cloud_view, decimate
 from fpplab.report.parts import ReportTable
 from fpplab.report.several_scans import write_scans_report
 from fpplab.results.provenance import Provenance, duration_text
-from fpplab.results.several_scans import ScanRecord, ScansResult
+from fpplab.results.several_scans import ScanRecord, ScansResult, plan_differences
 from fpplab.workflows.report import short_names, subtract_clouds
 from tests.comparison.test_comparison import CALIBRATION
 from tests.report.test_report import Page, cloud
@@ -59,15 +61,28 @@ def test_other_calibrations_and_clouds_without_pixels_are_not_compared() -> None
         assert reason in subtract_clouds(other, one).summary()["not_compared"]
 
 
+def test_plans_are_compared_by_what_differs() -> None:
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=8, steps=4), Sinusoid(axis="y", stripes=8, steps=3)))
+    finer = (Sinusoid(axis="x", stripes=64, steps=4), plan.fringes[1])
+    other = plan.model_copy(update={"fringes": finer, "exposure_s": 0.04})
+    scans = [replace(record(name, None), plan=one) for name, one in (("a", plan), ("b", other), ("c", None))]
+    wanted = {"stripes along x": {"a": "8", "b": "64"}, "exposure_s": {"a": "0.02", "b": "0.04"}}
+    assert plan_differences(scans) == wanted
+    assert plan_differences([scans[0], scans[0], scans[2]]) == {}
+
+
 @pytest.mark.whole
 def test_the_page_marks_what_differs(tmp_path: Path) -> None:
     scans = [record("a", cloud()), record("b", farther(cloud(), 0.1), rig="two"), record("c", None)]
+    plans = (Plan.load("plan_paper"), Plan.load("plan_scan"))
+    scans[:2] = [replace(scan, plan=plan) for scan, plan in zip(scans[:2], plans, strict=True)]
     differences = tuple(subtract_clouds(one, scans[0]) for one in scans[1:])
     write_scans_report(tmp_path / "s.html", ScansResult(tuple(scans), differences, tmp_path / "s.html"))
     page = Page(tmp_path / "s.html")
     text = (tmp_path / "s.html").read_text(encoding="utf-8")
     assert text.count('<tr class="marked">') == 1  # the rig; the camera is recorded of none
     assert "not recorded" in page.cells
+    assert "images along y" in page.cells
     assert "b minus a" in page.cells
     assert "one of them has no points" in page.cells
     assert text.count('class="verdict doubtful"') == 3

@@ -19,7 +19,7 @@ def report_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Compare several scans on one page: verdicts, figures side by side, and what differs in their making.
+    """Compare several scans on one page: verdicts, figures side by side, and what their plans differ by.
 
     Where scans were reconstructed with the same calibration, the page also shows how far each is from the
     first, pixel by pixel along the camera's rays.
@@ -37,6 +37,9 @@ def _show(answer: dict[str, Any]) -> None:
         [entry[key] or "–" for key in ("name", "verdict", "points", "noise_um")] for entry in answer["scans"]
     ]
     console.table("Scans", ["scan", "verdict", "points", "noise µm"], rows)
+    if plans := answer["plans"]:
+        columns = ["what the plans differ by", *next(iter(plans.values()))]
+        console.table("Plans", columns, [[name, *values.values()] for name, values in plans.items()])
     for entry in answer["differences"]:
         figures = (
             entry.get("not_compared") or f"{entry['rms_um']:.1f} µm RMS, median {entry['median_um']:+.1f} µm"

@@ -50,6 +50,7 @@ def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan])
         distance=_deviation([float(np.log(a.distance_um / b.distance_um)) for a, b in pairs]),
         completeness=_deviation([a.completeness - b.completeness for a, b in pairs]),
         contrast=_finest_contrast_deviation(reference, twin, contrasts, contrast_differences, judged),
+        parts=tuple(scan.item for scan in scans),
         levels=levels.model_copy(update={"left_out": tuple(_name(reference, pose) for pose in others)}),
     )
     effects = [

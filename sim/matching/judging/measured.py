@@ -13,7 +13,6 @@ import trimesh
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison.alignment import align_mesh
-from fpplab.core.conventions import Mask
 from fpplab.core.depth import DepthRange
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
@@ -23,8 +22,8 @@ from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.sessions.session import Session
-from sim.prediction.figures import MeasuredFigures, figures_of, seen_surface
-from sim.prediction.form import distance_factors
+from sim.prediction.figures import MeasuredFigures, SeenShape, figures_of
+from sim.prediction.form import calibration_effects
 
 
 def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.Trimesh) -> MeasuredFigures:
@@ -45,8 +44,8 @@ def expected_figures(
 ) -> MeasuredFigures:
     """Compute the figures of frames as a bench would see them, whose calibration is in error."""
     points = decoded, cloud = _points(recording, calibration, depth)
-    figures, placed, on_shape = _figures(points, calibration, mesh, recording.plan, depth)
-    factors = distance_factors(cloud, on_shape, placed, calibration, coordinate_noise(decoded))
+    figures, shape = _figures(points, calibration, mesh, recording.plan, depth)
+    factors = calibration_effects(cloud, shape, calibration, coordinate_noise(decoded)).distance
     return replace(figures, distance_um=figures.distance_um * float(np.median(factors)))
 
 
@@ -63,9 +62,9 @@ def _figures(
     mesh: trimesh.Trimesh,
     plan: Plan,
     depth: DepthRange | None,
-) -> tuple[MeasuredFigures, trimesh.Trimesh, Mask]:
-    """The figures, the shape where its points are, and the pixels that see it."""
+) -> tuple[MeasuredFigures, SeenShape]:
+    """The figures, and the shape where its points are."""
     T_camera_mesh = align_mesh(points[1].points.astype(float), mesh).transform
-    placed = mesh.copy().apply_transform(T_camera_mesh.matrix)
-    bounds, surface = decoding_bounds(plan, calibration, depth), seen_surface(placed, calibration)
-    return figures_of(*points, placed, calibration, plan, surface, bounds), placed, surface[0]
+    shape = SeenShape.of(mesh.copy().apply_transform(T_camera_mesh.matrix), calibration)
+    bounds = decoding_bounds(plan, calibration, depth)
+    return figures_of(*points, shape, plan, bounds, calibration.projector.size), shape

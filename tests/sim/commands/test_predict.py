@@ -48,7 +48,7 @@ def test_a_measurement_is_predicted(fpplab: Command, folder: Path) -> None:
     done = fpplab(*call, "--json")
     assert done.code == 0, done.err
     answer = done.json
-    for name in ("distance_um", "noise_um", "completeness", "wrong_order", "seconds"):
+    for name in ("distance_um", "place_um", "noise_um", "completeness", "wrong_order", "seconds"):
         one = answer[name]
         assert one["low"] <= one["value"] <= one["high"], name
     assert (answer["item"], answer["images"], answer["matched"]) == (ITEM, 12, False)
@@ -57,14 +57,16 @@ def test_a_measurement_is_predicted(fpplab: Command, folder: Path) -> None:
     assert shown.code == 0, shown.err
     assert "noise" in shown.out
     assert "no discrepancy.yaml next to the rig file" in shown.err
-    Discrepancy(noise=Deviation.of([0.3], fitted=False), looks_like="wax", not_for="wax").save(folder)
+    noisy = Deviation.of([0.5], fitted=False)
+    Discrepancy(noise=noisy, parts=(ITEM,), looks_like="wax", not_for="wax").save(folder)
     try:
         told = fpplab(*call, "--json")
         assert told.json["noise_um"]["high"] > 1.5 * answer["noise_um"]["high"]
         assert told.json["not_for"] == "wax"
         assert told.json["compared_stripes"] is None
         coarse = ContrastDeviation(stripes=12, relative=0.01)
-        Discrepancy(distance=Deviation.of([2.0], fitted=False), contrast=coarse).save(folder)
+        apart = Deviation.of([3.0], fitted=False)
+        Discrepancy(distance=apart, parts=(ITEM,), contrast=coarse).save(folder)
         wide = fpplab(*call, "--json")
         assert wide.json["compared_stripes"] == 12
         # Four times as many stripes: 16 times the logarithm.

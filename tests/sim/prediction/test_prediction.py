@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fpplab.comparison.alignment import align_mesh
 from fpplab.core import config
 from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
@@ -21,12 +21,12 @@ from fpplab.phase import decode
 from fpplab.reconstruction.points import points_of
 from sim.bench import VirtualBench
 from sim.build import SceneState
-from sim.part_surface import PartSurface
 from sim.prediction import Discrepancy, MeasuredFigures, figures_of, predict
 from sim.prediction.discrepancy import Deviation
-from sim.prediction.figures import seen_surface
-from sim.prediction.predict import BAND, MARGIN, choose_sampled_rows, plan_seconds
+from sim.prediction.figures import SeenShape
+from sim.prediction.predict import BAND, MARGIN, choose_sampled_rows, noise_by_surface, plan_seconds
 from sim.sampling import FramePart
+from sim.world import World
 
 PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=n, steps=4) for n in (1, 8, 48)), exposure_s=0.02)
 ITEM = "steps"
@@ -70,7 +70,8 @@ def measured(rig: Rig, plan: Plan, item: str) -> MeasuredFigures:
         frames.append(rig.camera.snap().image)
     decoded = decode(Recording(frames, plan, caps.size, settings.bits))
     decoded, cloud = points_of(decoded, known, plan)
-    return figures_of(decoded, cloud, mesh, known, plan, seen_surface(mesh, known))
+    placed = mesh.copy().apply_transform(align_mesh(cloud.points.astype(float), mesh).transform.matrix)
+    return figures_of(decoded, cloud, SeenShape.of(placed, known), plan, None, caps.size)
 
 
 @pytest.mark.whole
@@ -83,6 +84,11 @@ def test_a_prediction_is_that_of_a_whole_synthesis(rig: Rig) -> None:
     assert found.figures["seconds"].value == plan_seconds(rig, PLAN)
     assert found.images == 12
     assert found.discrepancy is None
+    assert found.figures["place_um"].value < 50.0  # the steps hardly hold it along them
+    assert len(found.lengths) > 1
+    for length in found.lengths:
+        assert length.measured_mm.value == pytest.approx(length.true_mm, abs=0.02), length.name
+        assert 0.0 < length.measured_mm.high - length.measured_mm.low < 0.02
 
 
 @pytest.mark.whole
@@ -167,44 +173,40 @@ def test_bands_are_spread_over_the_item() -> None:
 def test_the_interval_holds_what_bench_and_twin_differed_by(rig: Rig) -> None:
     plain = predict(rig, PLAN, ITEM, pixels=5_000)
     noise = Deviation.of([0.2, 0.2, 0.2], fitted=False)
-    Discrepancy(noise=noise, not_for="wax", looks_like="subsurface light").save(Path(rig.source).parent)
+    folder = Path(rig.source).parent
+    given = Discrepancy(noise=noise, parts=(ITEM,), not_for="wax", looks_like="subsurface light")
     try:
+        given.save(folder)
         wide = predict(rig, PLAN, ITEM, pixels=5_000)
+        given.model_copy(update={"parts": ()}).save(folder)
+        unknown = predict(rig, PLAN, ITEM, pixels=5_000)
     finally:
-        (Path(rig.source).parent / "discrepancy.yaml").unlink()
+        (folder / "discrepancy.yaml").unlink()
     for name in ("distance_um", "noise_um"):
         one, other = plain.figures[name], wide.figures[name]
         assert other.value == one.value
-        assert other.high / other.value > np.exp(1.96 * 0.2)
+        assert other.high / other.value > np.exp(0.3)
+        assert unknown.figures[name].high > 10 * other.high
         assert one.high / one.value < other.high / other.value
         assert other.contains(1.3 * one.value)
     assert wide.figures["wrong_order"].high > plain.figures["wrong_order"].high
     assert wide.summary()["not_for"] == "wax"
     assert wide.summary()["matched"]
+    assert [one.surface_known for one in (plain, wide, unknown)] == [True, True, False]
     assert not plain.summary()["matched"]
 
 
-def test_the_interval_holds_what_is_not_known_of_the_surface(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert isinstance(rig.simulation, VirtualBench)
-    surface = PartSurface(0.5, sigma={"reflectance": 0.15})
-    given: list[float] = []
-
-    def without_measuring(
-        draws: object, by_calibration: object, discrepancy: object, of_surface: float, stripes: float
-    ) -> dict[str, object]:
-        given.append(of_surface)
-        return {}
-
-    predicting = sys.modules[choose_sampled_rows.__module__]  # whose name is the function's, too
-    monkeypatch.setattr(type(rig.simulation.image_part_sampler()), "surface", lambda sampler, item: surface)
-    monkeypatch.setattr(predicting._Sampled, "measured", lambda study, seed: (None, None, None))
-    for name in ("coordinate_noise", "distance_factors"):
-        monkeypatch.setattr(predicting, name, lambda *known: None)
-    monkeypatch.setattr(predicting, "figure_intervals", without_measuring)
-    predict(rig, PLAN, ITEM, pixels=500)
-    assert given == [pytest.approx(0.3)]
+def test_what_is_not_known_of_a_surface_is_in_the_noise() -> None:
+    world = World.load("world_demo")
+    painted = world.material.model_copy(update={"sigma": {"reflectance": 0.09}})
+    known = noise_by_surface(world.model_copy(update={"material": painted}), ITEM, Discrepancy())
+    assert np.log(known).std() == pytest.approx(0.1, rel=0.01)
+    same_paint, shown = Discrepancy(parts=("pyramid",)), noise_by_surface(world, ITEM, None)
+    np.testing.assert_array_equal(noise_by_surface(world, ITEM, same_paint), [1.0])
+    np.testing.assert_array_equal(shown, [1.0])
+    unknown = noise_by_surface(world, ITEM, Discrepancy())
+    assert unknown.min() == pytest.approx(0.9, rel=1e-3)  # a part reflects all light at most
+    assert np.median(unknown) == pytest.approx(1.8, rel=1e-2)
 
 
 def test_what_cannot_be_predicted_is_refused(rig: Rig) -> None:
