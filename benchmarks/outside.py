@@ -119,7 +119,7 @@ EFFECTS = (
     Outside("response", s_shaped, s_shaped, ("response",)),
     Outside("wax", _same, of_wax, ("light below the surface",)),
     Outside("groove", _same, of_lit_walls, ("interreflection",), mesh=groove),
-    Outside("moving", _same, _same, ("parts that moved", "vibration"), DRIFT_MM),
+    Outside("moving", _same, _same, ("parts that moved", "vibration", "the part creeps"), DRIFT_MM),
 )
 
 

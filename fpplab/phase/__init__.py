@@ -6,6 +6,7 @@
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.decoding import decode
 from fpplab.phase.demodulation import Wrapped, wrapped_phase
+from fpplab.phase.drift import PointingDrift
 from fpplab.phase.unwrapping import check_unwrapping
 
-__all__ = ["Decoded", "Wrapped", "check_unwrapping", "decode", "wrapped_phase"]
+__all__ = ["Decoded", "PointingDrift", "Wrapped", "check_unwrapping", "decode", "wrapped_phase"]

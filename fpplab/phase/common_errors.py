@@ -44,6 +44,7 @@ class CommonErrors:
     images: int  # number N of images of the set
     ripple_rad: float = 0.0  # RMS phase error N times in a period that neighbours show beyond `harmonic_rad`
     lag_rad: float = 0.0  # RMS phase error by what is left of the frames before
+    drift_rad: float = 0.0  # RMS phase error, twice in a period, by a picture that walks during the set
     explained: float = 0.0  # mean square of what gains and harmonics leave beside sinusoids, per B²
     scatter: float = 1.0  # variance of the phase beside that of the noise of grey levels
     blur_px2: float = 0.0  # variance of the blur in px²; negative where frames are sharpened
@@ -63,8 +64,13 @@ class CommonErrors:
     def terms(self) -> tuple[float, float]:
         """Mean square phase error in rad²: the constant part, and the factor of (A/B)²."""
         rising = 2.0 * (self.gain_first / self.images) ** 2
-        others = self.ripple_rad**2 + self.lag_rad**2
-        return self.harmonic_rad**2 + others + 0.5 * (self.gain_second / self.images) ** 2, rising
+        flickering = 0.5 * (self.gain_second / self.images) ** 2
+        return self.harmonic_rad**2 + self.of_frames + flickering, rising
+
+    @property
+    def of_frames(self) -> float:
+        """Mean square phase error in rad² by anything but response and light."""
+        return self.ripple_rad**2 + self.lag_rad**2 + self.drift_rad**2
 
 
 @dataclass(frozen=True, eq=False)

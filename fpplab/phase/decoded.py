@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -17,6 +17,7 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.extras import need_extra
 from fpplab.core.files import write_large
 from fpplab.core.notebook import grey_picture, html_table, plot_map
+from fpplab.phase.drift import PointingDrift
 from fpplab.phase.limits import GUIDED_AXIS
 from fpplab.phase.outside import OutsideShare
 
@@ -73,6 +74,9 @@ class Decoded:
         rounding of the grey levels. None where neither the frames nor a measured response tell them.
     guided : GuidedAxis or None
         How the plan's guided axis agrees with the geometry; None where nothing guided it. It is not saved.
+    drifts : mapping of str to PointingDrift
+        By axis, how the projector's picture walked while the frames were taken, where they show it. It is
+        not saved.
     """
 
     u: Map
@@ -86,6 +90,7 @@ class Decoded:
     outside: OutsideShare | None = None
     sigma_phase_error: Map | None = None
     guided: GuidedAxis | None = None
+    drifts: Mapping[Axis, PointingDrift] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         height, width = self.sigma.shape

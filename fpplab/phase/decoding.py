@@ -85,7 +85,14 @@ def decode(
             f"recording: takes a Recording, such as session.recording(), not a {type(recording).__name__}"
         )
     recording = recording.checked()
-    guided, errors = recording.plan.guided_axis, error_model_of(recording)
+    errors = error_model_of(recording)
+    return replace(_decode_axes(recording, errors, progress, bounds), drifts=errors.drifts)
+
+
+def _decode_axes(
+    recording: Recording, errors: ErrorModel, progress: Progress, bounds: DecodingBounds | None
+) -> Decoded:
+    guided = recording.plan.guided_axis
     possible = {a: b for a, b in (bounds or {}).items() if isinstance(b, PossibleCoordinates)}
     check_bounds(possible, recording)
     if guided is None:

@@ -8,13 +8,22 @@ response, the lamp and rounding do is the same for all pixels of one phase (`fpp
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
-from fpplab.core.conventions import TWO_PI, Floats, Image, Mask, full_scale, raw_per_grey
+from fpplab.core.conventions import (
+    TWO_PI,
+    Axis,
+    Floats,
+    Image,
+    Mask,
+    axis_length,
+    full_scale,
+    raw_per_grey,
+)
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
@@ -28,6 +37,7 @@ from fpplab.phase.common_errors import (
     groups_of,
     noise_power,
 )
+from fpplab.phase.drift import PointingDrift, pointing_drifts, ramp_error_rad
 from fpplab.phase.lag import lag_error_rad, lag_share, without_lag
 from fpplab.phase.limits import NOISE, ORDERS
 from fpplab.phase.neighbours import with_errors_of_neighbours
@@ -43,6 +53,7 @@ class ErrorModel:
     sets: tuple[CommonErrors, ...]  # of each fringe set
     saturation: int  # raw value from which on a sample is saturated
     lag: float = 0.0  # share of the frame before that is left in each frame
+    drifts: Mapping[Axis, PointingDrift] = field(default_factory=dict)  # of the projector's picture
 
     @property
     def phase_error_is_known(self) -> bool:
@@ -79,9 +90,9 @@ def misfit_limits(errors: CommonErrors) -> tuple[float, float, float]:
 
 
 def error_model_of(recording: Recording) -> ErrorModel:
-    plan = recording.plan
+    plan, samples = recording.plan, _sample_pixels(recording)
     errors, fits = fit_errors(
-        _sample_pixels(recording),
+        samples,
         plan.fringes,
         recording.bits,
         plan.masks.modulation_min,
@@ -89,7 +100,17 @@ def error_model_of(recording: Recording) -> ErrorModel:
         _sequences(recording),
     )
     sets = with_errors_of_neighbours(errors.sets, recording, errors.saturation, fits, errors.noise)
-    return replace(errors, sets=tuple(sets))
+    usable = _find_usable_pixels(samples, errors.saturation)
+    drifts = pointing_drifts([sample[:, usable] for sample in samples], recording)
+    drifting = [
+        replace(
+            own, drift_rad=ramp_error_rad(drifts[f.axis], f, axis_length(recording.projector_size, f.axis))
+        )
+        if f.axis in drifts
+        else own
+        for own, f in zip(sets, plan.fringes, strict=True)
+    ]
+    return replace(errors, sets=tuple(drifting), drifts=drifts)
 
 
 def _sequences(recording: Recording) -> list[WavelengthSequence]:

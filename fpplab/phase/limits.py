@@ -246,6 +246,17 @@ class LagLimits(NamedTuple):
     """Residuals beyond this multiple of their median are left out. Derived: 5 sigma."""
 
 
+class DriftLimits(NamedTuple):
+    """Limits of the look for a projector's picture that walks."""
+
+    min_pixels: int = 500  # fewest pixels that it is estimated from (chosen)
+    max_pixels: int = 4000  # most pixels that it is estimated from (chosen: noise then counts for nothing)
+    max_chance: float = 1e-4  # probability of a drift as clear without one (chosen)
+    fit_passes: int = 2  # passes of the fit, each without the outliers of the one before (chosen)
+    outlier_ratio: float = 10.0  # power beyond this multiple of the median is left out (chosen)
+    scatter_passes: int = 5  # passes in which the frames' own scatter is estimated (chosen)
+
+
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
@@ -253,4 +264,5 @@ COMMON_ERRORS = CommonErrorLimits()
 BENT_PHASES = BentPhaseLimits()
 BIASED_ORDERS = BiasedOrderLimits()
 LAG = LagLimits()
+DRIFT = DriftLimits()
 NEIGHBOURS = NeighbourLimits()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.core.checksums import write_recorded
+from fpplab.core.conventions import Axis
 from fpplab.core.depth import DepthInterval, DepthRange
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED
@@ -16,7 +17,7 @@ from fpplab.diagnosis import Diagnosis, UselessScanError, diagnose_scan
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.record import save_diagnosis
 from fpplab.patterns.recording import Recording
-from fpplab.phase import Decoded
+from fpplab.phase import Decoded, PointingDrift
 from fpplab.pipeline.decoding import checked_recording
 from fpplab.pipeline.geometry import geometry_check
 from fpplab.pipeline.marks import SeenMarks, compare_marks_in, widened_by_marks
@@ -140,9 +141,35 @@ def _judge(
     return diagnose_scan(recording, decoded, cloud, calibration, geometry=geometry, limits=limits)
 
 
+def widened_by_drift(calibration: Calibration, drifts: Mapping[Axis, PointingDrift]) -> Calibration:
+    """Add to the uncertainty by how much the projector's picture walked since the first frame.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Without a covariance it stays as it is.
+    drifts : mapping of str to PointingDrift
+        By axis, as decoding found them.
+
+    Returns
+    -------
+    Calibration
+        The same, with its projector's principal point less certain.
+    """
+    uncertainty = calibration.uncertainty
+    if uncertainty is None or not drifts:
+        return calibration
+    covariance = uncertainty.covariance.copy()
+    for axis, drift in drifts.items():
+        at = uncertainty.names.index(f"projector.c{axis}")
+        covariance[at, at] += drift.shift_px**2
+    return replace(calibration, uncertainty=replace(uncertainty, covariance=covariance))
+
+
 def _with_sigmas(
     recording: Recording, decoded: Decoded, cloud: Cloud, calibration: Calibration, progress: Progress
 ) -> tuple[Cloud, SeenMarks]:
     marks = compare_marks_in(recording, decoded, calibration)
     at_scan, noise = widened_by_marks(calibration, marks), coordinate_noise(decoded)
+    at_scan = widened_by_drift(at_scan, decoded.drifts)
     return with_uncertainty(cloud, at_scan, noise, lambda share: progress(0.72 + 0.28 * share)), marks

@@ -306,7 +306,8 @@ def _drift_findings(fitted: Characterisation) -> list[Finding]:
     """Whether the projector's picture walked from pose to pose; where frames show it, the boards did."""
     from fpplab.characterisation.drift import drift_cost_mm
     from fpplab.diagnosis import Finding
-    from fpplab.diagnosis.causes.of_characterisation import BOARD_MOVED, PROJECTOR_DRIFT
+    from fpplab.diagnosis.causes.of_characterisation import BOARD_MOVED
+    from fpplab.diagnosis.causes.projector_drift import PROJECTOR_DRIFT
 
     if fitted.solution is None or fitted.sizes is None or fitted.model is None or not fitted.sizes.drift_px:
         return []

@@ -53,6 +53,10 @@ class Bench:
     turned_deg: float = 0.0
     """By how much the projector was turned, about the camera's x axis, after it was calibrated."""
     lamp: float = 1.0
+    drift_px: float = 0.0
+    """By how much the projector's picture walks along each axis over the whole scan."""
+    warms: float = 0.0
+    """By what share the light changes over the whole scan."""
     off_mm: float = 0.0
     """How far the projector's field lies beside the camera's."""
 
@@ -69,15 +73,20 @@ class Bench:
     def recording(self) -> Recording:
         random = np.random.default_rng([17, self.seed])
         calibration = self.rig(turned=True)
-        depth, albedo = self._part(random)
-        points = np.stack([*(s * depth for s in camera_slopes(calibration.camera)), depth], axis=-1)
+        _, albedo = self._part(random)
+        points = self.truth()
         seen = calibration.projector.project(points, calibration.T_projector_camera)
         inside = np.all((seen > -0.5) & (seen < np.array(PROJECTOR) - 0.5), axis=-1)
         frames = [
-            self._exposed(k, step, seen, albedo, inside, random)
-            for k, step, _ in self.plan.steps()
+            self._exposed(k, step, seen, albedo, inside, random, n / (self.plan.images - 1))
+            for n, (k, step, _) in enumerate(self.plan.steps())
         ]  # fmt: skip
         return Recording(frames, self.plan, PROJECTOR, self.bits, "scan")
+
+    def truth(self) -> Floats:
+        """Where every pixel's point lies in the camera's frame, (height, width, 3) in mm."""
+        depth, _ = self._part(np.random.default_rng([17, self.seed]))
+        return np.stack([*(s * depth for s in camera_slopes(self.rig().camera)), depth], axis=-1)
 
     def _part(self, random: np.random.Generator) -> tuple[Floats, Floats]:
         """Depth and albedo by pixel: a bulged part with blocks and patches, and a dark surrounding."""
@@ -96,14 +105,16 @@ class Bench:
         return depth, np.where(around, 0.03, albedo)
 
     def _exposed(
-        self, k: int, step: int, seen: Floats, albedo: Floats, inside: Floats, random: np.random.Generator
-    ) -> np.ndarray:
+        self, k: int, step: int, seen: Floats, albedo: Floats, inside: Floats, random: np.random.Generator,
+        elapsed: float,
+    ) -> np.ndarray:  # fmt: skip
         fringe = self.plan.fringes[k]
         size = axis_length(PROJECTOR, fringe.axis)
-        position = (seen[..., "xy".index(fringe.axis)] + 0.5) / size
+        position = (seen[..., "xy".index(fringe.axis)] + 0.5 + self.drift_px * elapsed) / size
         contrast = np.exp(-2 * (np.pi * self.projector_blur_px * fringe.stripes / size) ** 2)
         wave = 0.5 + 0.5 * contrast * np.cos(TWO_PI * (fringe.stripes * position - step / fringe.images))
         light = self.lamp * inside * (0.01 + 0.99 * wave**self.gamma) * (1 + random.normal(0, self.flicker))
+        light *= 1.0 + self.warms * elapsed
         level = (self.white * albedo * (light + self.ambient)).astype(np.float32)
         if self.moves_px:
             du, dv = random.normal(0, self.moves_px, 2)

@@ -54,7 +54,7 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     if math.isnan(errors.gain_first):
         return
     offset = float(np.median(fit.offset[sample.measured] / fit.modulation[sample.measured]))
-    others = np.nan_to_num(errors.harmonic_rad) ** 2 + errors.ripple_rad**2 + errors.lag_rad**2
+    others = np.nan_to_num(errors.harmonic_rad) ** 2 + errors.of_frames
     power = max(float(errors.variance(offset)) - others, 0.0)
     description = "frames of unequal brightness"
     finding = phase_error_finding(sample, FLICKER, math.sqrt(power), limits.min_phase_error_rad, description)

@@ -15,17 +15,6 @@ LENS_NOT_LOCKED = FaultCause(
     seen_in="characterise, match",
     shown_by=SHOWN_BY,
 )
-PROJECTOR_DRIFT = FaultCause(
-    key="projector_drift",
-    meaning="The projector's picture walks from pose to pose of a characterisation.",
-    remedy="let the projector warm up with its light on for half an hour, fix it and its cables, and take "
-    "all poses again; verify what is measured by reference marks",
-    measured="steps of the projector's coordinates of whole poses, without the worst pose, where the "
-    "camera's scale stays the same; they are fitted, and one more is in the uncertainty",
-    limit="what noise explains once in 10,000 times",
-    seen_in="characterise",
-    shown_by=SHOWN_BY,
-)
 BOARD_NOT_FOUND = FaultCause(
     key="board_not_found",
     meaning="The board, or enough of its points, is not found in the frames of a pose.",

@@ -1,0 +1,61 @@
+"""The projector's picture walks, as while it warms up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from fpplab.core.conventions import Axis
+from fpplab.diagnosis.causes.of_characterisation import SHOWN_BY
+from fpplab.diagnosis.evidence import Evidence
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding
+from fpplab.diagnosis.sample import FrameSample
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    sample, cloud = evidence.frames, evidence.cloud
+    assert cloud is not None
+    by_depth, images = evidence.points.px_per_mm_of_depth, sample.recording.plan.images
+    axis: Axis = "x" if by_depth[0] >= by_depth[1] else "y"  # the other one moves no point along its ray
+    drift = sample.errors.drifts.get(axis)
+    if drift is None:
+        return
+    cost_um = 1e3 * abs(drift.shift_px) / float(by_depth.max())
+    others_um = 1e3 * float(np.median(0.0 if cloud.sigma_noise_mm is None else cloud.sigma_noise_mm))
+    if cloud.sigma_calibration_mm is not None:  # it contains the drift
+        stated_um = 1e3 * float(np.median(cloud.sigma_calibration_mm))
+        others_um = float(np.sqrt(max(stated_um**2 - cost_um**2, 0.0)))
+    if cost_um > others_um:
+        text = (
+            f"the projector's picture walks by {abs(drift.px_per_frame) * images:.2f} px along {axis} over "
+            f"the {images} frames, or the part creeps; the light changes by {100 * _light(sample):+.1f} %. "
+            f"Since the first frame the finest fringes have moved by {cost_um:.0f} µm along the rays, beside "
+            f"{others_um:.0f} µm that are stated otherwise"
+        )
+        yield Finding(PROJECTOR_DRIFT, text, cost_um / max(others_um, 1e-3))
+
+
+def _light(sample: FrameSample) -> float:
+    """By what share the light changes over all frames, as the first and the last set show it."""
+    first, last = (np.median(sample.fits[k].offset[sample.lit]) for k in (0, -1))
+    starts, images = sample.recording.plan.set_starts, sample.recording.plan.images
+    between = 0.5 * (starts[-2] + images - starts[1])
+    return float((last / first - 1.0) * images / between) if between else 0.0
+
+
+PROJECTOR_DRIFT = FaultCause(
+    key="projector_drift",
+    meaning="The projector's picture walks while a scan is taken, or from pose to pose.",
+    remedy="let the projector warm up with its light on for half an hour, fix it, its cables and the part, "
+    "and measure again; verify what is measured by reference marks. A plan of few steps shows drift where "
+    "its finest set is the first and the last",
+    measured="ramp of the phases of the frames of a set, by what it displaces; steps of the projector's "
+    "coordinates of whole poses, without the worst pose, where the camera's scale stays the same. Both are "
+    "in the uncertainty",
+    limit="what noise and vibration explain once in 10,000 times; in a scan also what else is stated",
+    seen_in="points, characterise",
+    detectors=(Detector(DetectionStage.POINTS, _find),),
+    shown_by=f"{SHOWN_BY}; in a scan the evidence alone",
+    side_effects=frozenset({"flicker", "stale_calibration", "wrong_resolution", "interreflection"}),
+)
