@@ -31,12 +31,17 @@ class BoardCheckRequest:
 
 def run_board_check(request: BoardCheckRequest, observer: Observer | None = None) -> BoardCheckResult:
     """Take a pose of the board; record that it confirms the calibration, or correct a copy of it."""
+    from fpplab.calibration.model import Calibration
+    from fpplab.characterisation import judged_board
+    from fpplab.core.files import refuse_existing
     from fpplab.pipeline import take_or_resume_session
     from fpplab.results.check import BoardCheckResult
     from fpplab.workflows.correct import CorrectionRequest, run_correction
     from fpplab.workflows.judge import JudgementRequest, run_judgement
 
     observer, folder, rig = observer or Observer(), request.folder, request.rig
+    judged_board(Calibration.load(request.calibration), str(request.calibration))  # before the rig is opened
+    refuse_existing(folder, request.force)
     with rig, observer.stage("Taking a pose") as progress:
         observer.plan(request.plan, rig.projector.caps.size, rig.projector.caps.lattice)
         mounted = (request.item, 0) if rig.fixture is not None else None
