@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fpplab.calibration.model import Calibration
 from fpplab.characterisation.candidate_poses import candidate_poses
 from fpplab.characterisation.coverage import covered_regions, uncovered_regions
 from fpplab.characterisation.estimate import JointEstimate, first_estimate
@@ -148,10 +149,8 @@ class Guide:
         """Compare the residuals of a pose with those that the poses before predict."""
         if self.estimate is None:
             return None
-        judged_pose = judge(self.estimate.calibration, [observation]).poses[0]
-        fit = PoseFit(judged_pose.camera, judged_pose.projector, limits=self.limits)
-        outlying_pose = self._outlying_earlier_pose(observation) if fit.contradicting_devices else None
-        return replace(fit, outlying_pose=outlying_pose)
+        fit = self._fit_of(observation, self.estimate.calibration)
+        return replace(fit, outlying_pose=self._outlying_earlier_pose(observation))
 
     def add(self, observation: Observation) -> dict[str, str]:
         self.observations.append(observation)
@@ -190,20 +189,25 @@ class Guide:
             device: rms([residuals]) for device, residuals in zip(("camera", "projector"), pair, strict=True)
         }
 
+    def _fit_of(self, observation: Observation, calibration: Calibration) -> PoseFit:
+        (judged,) = judge(calibration, [observation]).poses
+        return PoseFit(judged.camera, judged.projector, limits=self.limits)
+
     def _outlying_earlier_pose(self, new: Observation) -> str | None:
-        """Name which of a few earlier poses is in the wrong, if it is not the new one."""
+        """Name which of a few earlier poses the fit of the others, the new one included, contradicts."""
         assert self.estimate is not None
         if len(self.observations) >= self.limits.certain_poses:
             return None
         try:
             joint = self.estimate.with_pose(new)
-            remaining_rms = [
-                joint.without_pose(k).calibration.rms_px["joint"] for k in range(len(joint.observations))
-            ]
+            without = [joint.without_pose(k) for k in range(len(joint.observations))]
         except CalibrationError:
             return None
-        outlying_pose = joint.observations[int(np.argmin(remaining_rms))].name
-        return None if outlying_pose == new.name else outlying_pose
+        k = int(np.argmin([others.calibration.rms_px["joint"] for others in without]))
+        outlier = joint.observations[k]
+        if outlier.name == new.name:
+            return None
+        return outlier.name if self._fit_of(outlier, without[k].calibration).contradicting_devices else None
 
     def _view(self) -> RoughView:
         return RoughView.of(self.observations, self.target, self.sizes, self.first_known)
