@@ -23,6 +23,7 @@ from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
+from fpplab.phase.drift import can_show_drift
 
 
 class VerdictLimits(LimitsSection):
@@ -166,10 +167,12 @@ def diagnose_scan(
         judged = Diagnosis(Verdict.USELESS, "there are no points", findings)
     else:
         one_axis = "stale_calibration: fringes along one axis alone do not show it"
+        few_steps = "projector_drift: no fringe set has five steps or is shown twice"
         unplaced = _unplaced(recording, cloud, geometry is None or geometry.region_is_known)
         is_seen = decoded.guided is not None or (geometry is not None and geometry.seen)
         unknown = (one_axis,) * (cloud.epipolar_px is None and not is_seen)
         unknown += (f"region: {unplaced}",) * bool(unplaced)
+        unknown += (few_steps,) * (not can_show_drift(recording.plan))
         unknown += geometry.unverified if geometry else ()
         seeing = evidence.frames.estimate_pixels_seeing_fringes(cloud)
         counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"

@@ -66,6 +66,12 @@ def pointing_drifts(samples: Sequence[Image], recording: Recording) -> dict[Axis
     return drifts
 
 
+def can_show_drift(plan: Plan) -> bool:
+    """Tell whether frames of a plan show drift along its first axis."""
+    sets = [plan.fringes[k] for k in plan.sets_along(plan.axes[0])]
+    return any(fringe.images >= DRIFT.min_steps or sets.count(fringe) > 1 for fringe in sets)
+
+
 def ramp_error_rad(drift: PointingDrift, fringe: FringeSet, size: int) -> float:
     """RMS phase error of a set, twice in a period, by the ramp of its frames' phases."""
     shift = fringe.phase_shifts()
@@ -132,7 +138,7 @@ def _modes_of_set(sample: Floats, fringe: FringeSet, modulation_min: float, peri
     fitted = fit_sinusoids(sample, fringe)
     bright = np.flatnonzero(np.hypot(fitted[1], fitted[2]) >= max(modulation_min, 1.0))
     bright = bright[:: max(1, len(bright) // DRIFT.max_pixels)]
-    if len(shift) < 4 or len(bright) < DRIFT.min_pixels:
+    if len(shift) < DRIFT.min_steps or len(bright) < DRIFT.min_pixels:
         return []
     projection, count = beyond_fringe(shift), len(shift)
     for _ in range(DRIFT.fit_passes):

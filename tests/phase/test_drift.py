@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.drift import place_of_scan
 from fpplab.patterns.plan import Plan
-from fpplab.phase.drift import PointingDrift, ramp_error_rad
+from fpplab.phase.drift import PointingDrift, can_show_drift, ramp_error_rad
 from fpplab.phase.error_model import error_model_of
 from tests.diagnosis.scenes import Bench, plan_of
 
@@ -22,6 +22,12 @@ def test_the_error_of_a_ramp_is_that_of_its_demodulation() -> None:
     images = np.cos(phase[:, None] + ramp - shift)
     off = np.angle((images @ np.exp(1j * shift)) * np.exp(-1j * phase))
     assert ramp_error_rad(drift, fringe, 912) == pytest.approx(float(np.std(off)), rel=0.02)
+
+
+def test_a_plan_tells_whether_it_can_show_drift() -> None:
+    plans = (Plan.load("plan_scan"), Plan.load("plan_six_images"), plan_of(steps=(4, 4, 4)))
+    assert [can_show_drift(plan) for plan in plans] == [True, False, False]
+    assert can_show_drift(plan_of(stripes=(64, 8, 64), steps=(3, 3, 3)))
 
 
 @pytest.mark.whole
