@@ -302,7 +302,7 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
     tried = at.with_parameters(written.parameters())
     after = step.misfit(tried)
     better = after <= before if before is not None and after is not None else None
-    refused = better is False or not step.allowed(tried)
+    refused = better is False
     if step.same_images and (refused or not step.characterises):
         loss, difference = best.loss, best.difference
     else:

@@ -149,7 +149,6 @@ class MatchingStep:
     propose: Callable[[MatchingContext], TwinParameters]  # gives the parameters to try
     characterises: bool = False  # whether the twin's own RMS reprojection error must be found again
     misfit: Callable[[MatchingContext], float | None] = lambda at: None  # what the step is judged by
-    allowed: Callable[[MatchingContext], bool] = lambda at: True  # whether what was proposed
     applies: Callable[[MatchingContext], bool] = lambda at: True  # whether the step is taken
     same_images: bool = False  # whether the images that the twin expects, which have no noise, stay the same
     explains: str = ""  # the effect that it finds, as reports describe it; none for what every twin has
@@ -306,7 +305,6 @@ REPEATED_STEPS = (
     MatchingStep(
         "images",
         _refine_by_images,
-        allowed=lambda at: geometry_fit.contradiction_of_points(at.reference, at.parameters) <= 1.0,
         again=False,  # what the twin lacks and images take for geometry is the same in every round
     ),
     MatchingStep(

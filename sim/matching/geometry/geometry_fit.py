@@ -6,7 +6,8 @@ by these four with the level itself. (Those of a twin that has none are found by
 rendered with board and projector image slightly shifted.) The derivatives of the four by every parameter are
 plain geometry (`surface_points`): Gauss-Newton on image residuals, as in image alignment.
 
-Source: Baker and Matthews, "Lucas-Kanade 20 years on", 2004.
+Sources: Baker and Matthews, "Lucas-Kanade 20 years on", 2004.; Birge,
+"The calculation of errors by the method of least squares", 1932.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
-from fpplab.calibration.error_modes import chi_square
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation
 from fpplab.characterisation.bundle import adjust_bundle
@@ -44,26 +45,12 @@ class GeometryFitLimits:
     shift_px: float = 0.05  # of the projected image for finite differences (numerical)
     max_pixels: int = 40_000  # of each pose that are compared (chosen, for speed)
     max_pixels_of_all_poses: int = 400_000  # that are compared (chosen, for memory)
-    max_sigmas: float = 3.0  # by which χ² of two geometries may exceed its expectation (chosen)
 
 
 LIMITS = GeometryFitLimits()
 
 NUISANCE_PARAMETERS = 6
 """Parameters of each pose for what light and sharpness still lack: gain (3), offset, response, blur."""
-
-
-def contradiction_of_points(reference: Reference, parameters: TwinParameters) -> float:
-    """Compute how far a geometry is from the points that the reference's characterisation is found from."""
-    # Points are centres of marks: blur, grain of the print and uneven light hardly move them, while a fit of
-    # images takes for geometry whatever else the twin lacks. So images are believed as far as points allow.
-    characterisation = reference.characterisation
-    uncertainty = characterisation.calibration.uncertainty
-    if uncertainty is None:
-        return 0.0
-    free = len(characterisation.level.terms)
-    off = _shared(parameters.calibration, free) - _shared(characterisation.calibration, free)
-    return chi_square(uncertainty, off) / float(len(off) + LIMITS.max_sigmas * np.sqrt(2.0 * len(off)))
 
 
 def _shared(calibration: Calibration, free: int) -> Floats:
@@ -142,10 +129,66 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0] = 1.0
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
-    variance = np.diag(inverse @ scatter @ inverse)
+    step, covariance = _weighed_with_points(
+        inverse @ gradient, inverse @ scatter @ inverse, reference.characterisation, start
+    )
+    variance = np.diag(covariance)
     of_places = variance[shared:].reshape(-1, per_pose)[:, 3:6].sum(axis=1)
     sigma = {**start.sigma, "poses_um": 1e3 * float(np.sqrt(of_places.mean()))}
-    return replace(_parameters_after_step(start, inverse @ gradient, free, shared, per_pose), sigma=sigma)
+    return replace(_parameters_after_step(start, step, free, shared, per_pose), sigma=sigma)
+
+
+def _weighed_with_points(
+    step: Floats, covariance: Floats, points: Characterisation, start: TwinParameters
+) -> tuple[Floats, Floats]:
+    """Weigh a step by images (n,) with the geometry by points; the step, and its covariance (n, n)."""
+    uncertainty, free = points.calibration.uncertainty, len(points.level.terms)
+    if uncertainty is None:
+        return step, covariance
+    known, now = (_shared(one, free) for one in (points.calibration, start.calibration))
+    off, to_turn = known - now, np.eye(len(known))
+    # Of the pose its rotation vector is known; a step turns it about the axes of the frame.
+    turned, turn = now[-6:-3], slice(len(known) - 6, len(known) - 3)
+    to_turn[turn, turn] = left_jacobian(turned)
+    return weigh_estimates(step, covariance, to_turn @ off, to_turn @ uncertainty.covariance @ to_turn.T)
+
+
+def left_jacobian(rotation_vector: Floats) -> Floats:
+    """Turn (3, 3) about the axes of the frame by a change of a rotation vector (3,)."""
+    angle = float(np.linalg.norm(rotation_vector))
+    cross = np.cross(np.eye(3), rotation_vector)
+    if angle < 1e-6:
+        return np.eye(3) + 0.5 * cross
+    by_cross, by_square = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + by_cross * cross + by_square * cross @ cross)
+
+
+def weigh_estimates(
+    step: Floats, covariance: Floats, known: Floats, known_covariance: Floats
+) -> tuple[Floats, Floats]:
+    """Combine a step (n,) with other estimates (s,) of its first components; also its covariance (n, n)."""
+    # Points are centres of marks: blur, grain of the print and uneven light hardly move them, while a fit of
+    # images takes for geometry whatever else the twin lacks, and its residuals do not tell. So where the two
+    # contradict each other, the covariance of the images is widened until they do not (Birge's ratio).
+    count = len(known)
+    gap, size = known - step[:count], np.sqrt(np.diag(known_covariance))
+    own, theirs = (part / np.outer(size, size) for part in (covariance[:count, :count], known_covariance))
+
+    def excess(widening: float) -> float:
+        return (
+            float((gap / size) @ np.linalg.pinv(widening * own + theirs, hermitian=True) @ (gap / size))
+            - count
+        )
+
+    most = 1.0
+    while excess(most) > 0 and most < 1e12:
+        most *= 10.0
+    widened = covariance * (brentq(excess, most / 10.0, most, rtol=1e-3) if most > 1.0 else 1.0)
+    inverse = np.linalg.pinv(
+        widened[:count, :count] / np.outer(size, size) + theirs, hermitian=True
+    ) / np.outer(size, size)
+    gain = widened[:, :count] @ inverse
+    return step + gain @ gap, widened - gain @ widened[:count]
 
 
 def _remove_vibration(

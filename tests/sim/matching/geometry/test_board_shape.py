@@ -1,18 +1,17 @@
-"""The bend of the bench's board, and geometries that its points contradict."""
+"""The bend of the bench's board, and what its points tell of a geometry beside its images."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from fpplab.calibration.model import Calibration, Uncertainty
+from fpplab.calibration.model import Calibration
 from fpplab.characterisation import DistortionModel
-from fpplab.characterisation.parameters import parameter_names
 from fpplab.core.conventions import Floats
+from fpplab.core.geometry import RigidTransform
 from sim.matching.geometry import geometry_fit
 from sim.matching.geometry.board_shape import bend_displacements_mm, bend_mm
 from sim.matching.match import moved_um
@@ -74,24 +73,22 @@ def test_a_bent_board_is_not_taken_for_another_geometry(truth: TwinParameters) -
     assert with_bend < 0.4 * without
 
 
-def test_geometries_beyond_what_points_tell_are_contradicted(truth: TwinParameters) -> None:
-    level = DistortionModel.TANGENTIAL
-    names = parameter_names(level)
-    sigma = np.where([name.endswith(("fx", "fy", "cx", "cy")) for name in names], 0.2, 1e-3)
-    known = Calibration(CAMERA, PROJECTOR, PAIR, {}, Uncertainty(names, np.diag(sigma**2)))
-    found = cast(Any, SimpleNamespace(calibration=known, level=level, poses=truth.poses))
-    reference = Reference((), TARGET, found)
-    random = np.random.default_rng(2)
+def test_images_are_weighed_with_points_and_less_where_they_contradict_them() -> None:
+    covariance = np.diag([1.0, 4.0, 1.0])
+    covariance[0, 2] = covariance[2, 0] = 0.8  # with a pose, of which points say nothing
+    known, of_points = np.array([2.0, 0.0]), np.diag([1.0, 4.0])
+    step, left = geometry_fit.weigh_estimates(np.zeros(3), covariance, known, of_points)
+    np.testing.assert_allclose(step, [1.0, 0.0, 0.8])
+    np.testing.assert_allclose(np.diag(left), [0.5, 2.0, 1.0 - 0.8**2 / 2])
+    near = known + [100.0, 0.0]
+    step, left = geometry_fit.weigh_estimates(np.zeros(3), 1e-4 * covariance, near, of_points)
+    assert abs(step[0] - near[0]) < 2.0  # in spite of the small covariance of the images
+    assert 0.5 < left[0, 0] <= 1.0
 
-    def moved(factor: float) -> TwinParameters:
-        matrix = CAMERA.matrix.copy()
-        matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += factor * 0.2 * np.abs(random.standard_normal(4))
-        calibration = replace(known, camera=replace(CAMERA, matrix=matrix))
-        return replace(truth, calibration=calibration)
 
-    assert geometry_fit.contradiction_of_points(reference, moved(0.0)) == 0.0
-    assert geometry_fit.contradiction_of_points(reference, moved(1.0)) < 1.0
-    assert geometry_fit.contradiction_of_points(reference, moved(20.0)) > 1.0
-    bare = replace(known, uncertainty=None)
-    nothing = Reference((), TARGET, cast(Any, SimpleNamespace(calibration=bare, level=level, poses=())))
-    assert geometry_fit.contradiction_of_points(nothing, moved(20.0)) == 0.0
+def test_a_change_of_a_rotation_vector_is_a_turn_about_the_axes() -> None:
+    vector, change = np.array([0.3, -0.2, 0.5]), 1e-6 * np.array([1.0, 2.0, -3.0])
+    before, after = (RigidTransform.from_vectors(v, np.zeros(3)).rotation for v in (vector, vector + change))
+    turn = RigidTransform(after @ before.T, np.zeros(3)).rotation_vector
+    np.testing.assert_allclose(geometry_fit.left_jacobian(vector) @ change, turn, rtol=1e-4)
+    np.testing.assert_allclose(geometry_fit.left_jacobian(np.zeros(3)), np.eye(3))
