@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpplab.core.config import Document
+from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, Say, ignore, no_progress
 from sim.matching.evaluation import TwinEvaluation, evaluate
@@ -301,7 +302,7 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
     written = ParametersFile.of(step.propose(at))
     tried = at.with_parameters(written.parameters())
     after = step.misfit(tried)
-    better = after <= before if before is not None and after is not None else None
+    better = not is_worse(before, after) if before is not None and after is not None else None
     refused = better is False
     if step.same_images and (refused or not step.characterises):
         loss, difference = best.loss, best.difference
@@ -313,6 +314,14 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
         difference = _difference(replace(tried, samples=samples))
     accepted = not refused and (_is_step_accepted(best, loss, difference) if better is None else better)
     _record_epoch(state, step.name, written, loss, difference, accepted, observe)
+
+
+def is_worse(before: float | Floats, after: float | Floats) -> bool:
+    """Whether a misfit has grown, in the mean of poses by more than its own standard error."""
+    # A twin's noise is drawn anew each time: without the error, chance would refuse half of the small steps.
+    grown = np.atleast_1d(np.subtract(after, before))
+    error = grown.std(ddof=1) / np.sqrt(len(grown)) if len(grown) > 1 else 0.0
+    return bool(grown.mean() > error)
 
 
 def _evaluate_epoch(

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from fpplab.core.config import Document
+from fpplab.core.conventions import Floats
 from sim.effects import EFFECTS, Effect
 from sim.effects.step import FrameFluctuation, Ripple
 from sim.matching.fluctuation import bands, noise
@@ -148,7 +149,8 @@ class MatchingStep:
     name: str  # as recorded and reported
     propose: Callable[[MatchingContext], TwinParameters]  # gives the parameters to try
     characterises: bool = False  # whether the twin's own RMS reprojection error must be found again
-    misfit: Callable[[MatchingContext], float | None] = lambda at: None  # what the step is judged by
+    misfit: Callable[[MatchingContext], float | Floats | None] = lambda at: None
+    """What the step is judged by, as a whole or of each pose; None: the loss."""
     applies: Callable[[MatchingContext], bool] = lambda at: True  # whether the step is taken
     same_images: bool = False  # whether the images that the twin expects, which have no noise, stay the same
     explains: str = ""  # the effect that it finds, as reports describe it; none for what every twin has

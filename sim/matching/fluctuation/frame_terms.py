@@ -61,7 +61,9 @@ class FrameTerms:
         of = list(columns)
         # A fringe that the twin has elsewhere in all frames looks like a motion, but not like more light.
         measured = self.noise if columns == GAIN else self.covariance
-        min_variance = LIMITS.min_gain**2 if columns == GAIN else 0.0
+        # Faults of the fit are a share of the level, whichever light they are taken for.
+        shares = {GAIN[0]: 1.0, ROOM[0]: max(self.room_share, LIMITS.min_room_share)}
+        min_variance = (LIMITS.min_gain / shares[of[0]]) ** 2 if of[0] in shares else 0.0
         covariance = measured[:, of][:, :, of] + min_variance * np.eye(len(of))
         return Series(self.frames, self.sets, self.values[:, of], covariance)
 

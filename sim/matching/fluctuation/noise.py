@@ -129,14 +129,14 @@ def _noise_of(reference: Reference, pose: int, frames: Sequence[Image]) -> Noise
     return error_model_of(recording).noise
 
 
-def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> float:
-    """Compute how far the twin's noise is from the reference's, by variance and by spectrum."""
+def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> Floats:
+    """Compute how far the twin's noise is from the reference's in each pose, by variance and by spectrum."""
     # Compared is what the phase fit leaves of the finest fringes over the board, in `levels` classes of
     # brightness, divided into structure finer and coarser than `fine_px`: the sensor's noise is fine,
     # vibration is as coarse as edges and fringes are.
     images = reference.plan.finest_images
     if len(images) < 4:
-        return 0.0
+        return np.zeros(len(poses))
     shift = reference.plan.fringes[reference.plan.finest_set()].phase_shifts()
     off = []
     for pose in poses:
@@ -147,7 +147,7 @@ def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> floa
         edges = np.quantile(real.mean(axis=0)[board], np.linspace(0, 1, LIMITS.levels + 1)[1:-1])
         classes = np.where(board, np.digitize(real.mean(axis=0), edges), -1)
         off.append(np.log(_spreads(real, shift, classes) / _spreads(own, shift, classes)))
-    return float(np.sqrt(np.mean(np.square(off))))
+    return np.asarray(np.square(off).mean(axis=(1, 2)))
 
 
 def _spreads(frames: LevelStack, shift: Floats, classes: NDArray[np.int64]) -> Floats:

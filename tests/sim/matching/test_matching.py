@@ -35,7 +35,7 @@ from sim.matching.judging import plausibility
 from sim.matching.light import light_fit
 from sim.matching.light.gamma import match_gamma, with_level_of_card
 from sim.matching.loss import Loss, Similarity, Weights, board_mask, ssim
-from sim.matching.match import MatchingLimits, explained_shares
+from sim.matching.match import MatchingLimits, explained_shares, is_worse
 from sim.matching.record import EPOCHS, MatchingEpoch, MatchingRecord, ParametersFile
 from sim.matching.reference import Reference
 from sim.matching.refusal import Refusals, acceptable_causes
@@ -238,11 +238,19 @@ def test_the_right_noise_is_the_best_and_images_are_compared_without_any(truth: 
     def judged(vibration_mm: float) -> tuple[float, float]:
         twin = PlaneTwin(replace(truth, vibration_mm=vibration_mm), 8)
         alike = evaluate(held, twin, Weights(), 0.05).loss.similarity.board.mean()
-        return noise.noise_misfit(held, twin, (0, 1)), float(alike)
+        return float(np.sqrt(noise.noise_misfit(held, twin, (0, 1)).mean())), float(alike)
 
     (still, alike_still), (right, alike_right), (much, _) = (judged(mm) for mm in (0.0, 0.02, 0.08))
     assert right < 0.5 * min(still, much)
     assert alike_right == pytest.approx(alike_still)
+
+
+def test_a_misfit_of_poses_grows_by_more_than_its_error_or_not_at_all() -> None:
+    before = np.array([1.0, 2.0, 3.0, 4.0])
+    assert is_worse(before, before + [0.3, 0.2, 0.3, 0.2])
+    assert not is_worse(before, before + [0.9, -0.8, 0.7, -0.7])
+    assert is_worse(1.0, 1.0 + 1e-9)
+    assert not is_worse(1.0, 1.0)
 
 
 def test_an_adjustable_parameter_is_clipped_to_its_range() -> None:

@@ -10,9 +10,9 @@ import pytest
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from sim.effects.vibration import Vibration
-from sim.matching.fluctuation.bands import LIMITS, Bands
+from sim.matching.fluctuation.bands import LIMITS, Bands, ripple_in_step
 from sim.matching.fluctuation.frame_series import fit_fluctuation
-from sim.matching.fluctuation.frame_terms import GAIN
+from sim.matching.fluctuation.frame_terms import GAIN, FrameTerms
 from sim.matching.fluctuation.fringe_residuals import Variances, fringe_residuals, residual_of_set
 from sim.matching.samples import sample_pixels
 from sim.matching.steps import FIRST_STEPS, MatchingContext
@@ -57,6 +57,20 @@ def test_flicker_of_a_shaking_bench_is_found(truth: TwinParameters, flicker: flo
 def test_steady_light_of_a_shaking_bench_has_no_flicker(truth: TwinParameters) -> None:
     found = proposed("flicker", replace(truth, vibration_mm=SHAKEN_MM), truth)
     assert found.projector_flicker < 3e-4
+
+
+@pytest.mark.parametrize(("ripple", "is_found"), [(0.01, False), (0.3, True)])
+def test_faults_of_a_fit_are_no_ripple_of_a_faint_room(ripple: float, is_found: bool) -> None:
+    """A hundredth of light that is a hundredth of the level is a ten-thousandth of the level."""
+    random, frames, tiny = np.random.default_rng(3), np.arange(16.0), np.tile(1e-10 * np.eye(5), (16, 1, 1))
+    poses = []
+    for pose in range(6):
+        values = np.zeros((16, 5))
+        values[:, 1] = ripple / np.sqrt(2) * random.standard_normal(16)
+        poses.append(FrameTerms(pose, frames, np.repeat([0, 1], 8), values, tiny, tiny, 0.01))
+    found = ripple_in_step(poses)
+    assert (found.gained > 0) == is_found
+    assert found.amplitude == (pytest.approx(ripple, rel=0.2) if is_found else 0.0)
 
 
 @pytest.mark.nightly
