@@ -22,6 +22,7 @@ from fpplab.characterisation.parameters import ErrorSizes, Model, Solution
 from fpplab.characterisation.pose_effects import pose_effects
 from fpplab.characterisation.problem import Problem
 from fpplab.core.conventions import Floats
+from fpplab.core.errors import UndeterminedError
 from fpplab.core.geometry import RigidTransform
 
 UNLIMITED_PX = 100.0
@@ -37,7 +38,10 @@ def fit_with_drift(
     count = len(observations)
     start = replace(solution, steps=np.zeros((count, 2)), ages=np.arange(count, 0, -1))
     still = replace(sizes, camera_shared_px=0.0, projector_shared_px=0.0)
-    chance, drift_px = _steps_by_chance(observations, start, model, still)
+    try:
+        chance, drift_px = _steps_by_chance(observations, start, model, still)
+    except UndeterminedError:  # beside the residuals of a twin, any step is as good as unlimited
+        return None
     if chance > model.limits.max_chance:
         return None
     drifting = adjust_bundle(observations, start, model, first=replace(sizes, drift_px=drift_px))

@@ -45,7 +45,10 @@ from sim.sampling import ImagePartSampler
 from sim.world import World
 from sim.world.surface import surface_of
 
-BAND, MARGIN = 12, 2  # rows of a band, and how many at each of its ends serve as neighbours alone
+INNER = 8  # rows of a band that count (chosen)
+MARGIN, FILTER_MARGIN = 2, 5
+"""Rows at each end of a band that serve as neighbours alone; a plan's filter looks farther: it needs patches
+of 25 pixels, which a band must not cut off."""
 DRAWN_SCANS = 8  # that figures are the medians of (chosen)
 ALIGNED_POINTS = 10_000  # of a scan (chosen: by noise of 50 µm it is then placed within 1 µm)
 
@@ -100,7 +103,7 @@ def predict(
     seen, lit = seen_surface(mesh, known)
     if not lit.any():
         raise ConfigError(f"{rig.source}: no pixel sees lit surface of the item '{item}'")
-    rows, inner = choose_sampled_rows(seen, pixels)
+    rows, inner = choose_sampled_rows(seen, pixels, FILTER_MARGIN if plan.filter else MARGIN)
     study = _Sampled(rig, plan, item, known, sampler, rows)
     # Noise, flicker and vibration are drawn anew; the last two are common to a whole frame.
     measured = [study.measured(seed) for seed in range(DRAWN_SCANS)]
@@ -185,21 +188,20 @@ def plan_seconds(rig: Rig, plan: Plan) -> float:
     return images * (plan.exposure_s + camera.readout_s + camera.dark_s + plan.settle_s)
 
 
-def choose_sampled_rows(item_mask: Mask, pixels: int) -> tuple[Rows, Rows]:
-    """Choose bands of rows, evenly spread over what is seen of an item."""
+def choose_sampled_rows(item_mask: Mask, pixels: int, margin: int = MARGIN) -> tuple[Rows, Rows]:
+    """Choose bands of rows, evenly spread over what is seen of an item; all of them, and those that count."""
     # item_mask (height, width)
-    used = np.flatnonzero(item_mask.any(axis=1))
-    first, end = max(0, int(used[0]) - MARGIN), min(len(item_mask), int(used[-1]) + 1 + MARGIN)
+    used, band = np.flatnonzero(item_mask.any(axis=1)), np.arange(INNER + 2 * margin)
+    first, end = max(0, int(used[0]) - margin), min(len(item_mask), int(used[-1]) + 1 + margin)
     share = min(1.0, pixels / max(1, int(np.count_nonzero(item_mask))))
-    inside = BAND - 2 * MARGIN
-    count = max(1, round(share * (end - first) / inside))
-    if count * BAND >= end - first:
+    count = max(1, round(share * (end - first) / INNER))
+    if count * len(band) >= end - first:
         every = np.arange(first, end)
         return every, every
     # In the middle of equal parts, so that the item's own edges count no more than they are.
-    starts = np.rint(first + (np.arange(count) + 0.5) * (end - first) / count - BAND / 2).astype(np.intp)
-    band = np.arange(BAND)
-    rows, inner = (np.unique(starts[:, None] + part) for part in (band, band[MARGIN:-MARGIN]))
+    middles = first + (np.arange(count) + 0.5) * (end - first) / count
+    starts = np.rint(middles - len(band) / 2).astype(np.intp)
+    rows, inner = (np.unique(starts[:, None] + part) for part in (band, band[margin:-margin]))
     return rows, inner
 
 

@@ -48,3 +48,11 @@ def test_a_moved_board_and_a_breathing_lens_are_no_drift() -> None:
     assert _fit(_shifted(np.zeros((9, 2))))[1] is None
     assert _fit(_shifted(0.4 * (np.arange(9) == 4)[:, None] * np.ones(2)))[1] is None
     assert _fit(breathing(5e-4, 21))[1] is None
+
+
+def test_steps_that_cannot_be_told_are_not_fitted() -> None:
+    """Of a twin's own frames: beside errors this small a free step leaves the equations undetermined."""
+    poses, model = seen(9, 31), model_of(BOARD, (CAMERA.size, SQUARE.size), DistortionModel.K3)
+    _, (solution, sizes), _ = settled(poses, BOARD, model, {})
+    exact = replace(sizes, camera_px=1e-6, projector_px=1e-6)
+    assert fit_with_drift(poses, (solution, exact), model) is None

@@ -142,15 +142,16 @@ def _weighed_with_points(
     step: Floats, covariance: Floats, points: Characterisation, start: TwinParameters
 ) -> tuple[Floats, Floats]:
     """Weigh a step by images (n,) with the geometry by points; the step, and its covariance (n, n)."""
-    uncertainty, free = points.calibration.uncertainty, len(points.level.terms)
+    uncertainty = points.calibration.uncertainty
     if uncertainty is None:
         return step, covariance
+    free = len(points.level.terms)
     known, now = (_shared(one, free) for one in (points.calibration, start.calibration))
-    off, to_turn = known - now, np.eye(len(known))
-    # Of the pose its rotation vector is known; a step turns it about the axes of the frame.
-    turned, turn = now[-6:-3], slice(len(known) - 6, len(known) - 3)
-    to_turn[turn, turn] = left_jacobian(turned)
-    return weigh_estimates(step, covariance, to_turn @ off, to_turn @ uncertainty.covariance @ to_turn.T)
+    to_step, turn = np.eye(len(known)), slice(len(known) - 6, len(known) - 3)
+    to_step[turn, turn] = left_jacobian(now[turn])  # a step turns the pose about the axes of the frame
+    return weigh_estimates(
+        step, covariance, to_step @ (known - now), to_step @ uncertainty.covariance @ to_step.T
+    )
 
 
 def left_jacobian(rotation_vector: Floats) -> Floats:

@@ -24,7 +24,7 @@ from sim.build import SceneState
 from sim.prediction import Discrepancy, MeasuredFigures, figures_of, predict
 from sim.prediction.discrepancy import Deviation
 from sim.prediction.figures import SeenShape
-from sim.prediction.predict import BAND, MARGIN, choose_sampled_rows, noise_by_surface, plan_seconds
+from sim.prediction.predict import INNER, MARGIN, choose_sampled_rows, noise_by_surface, plan_seconds
 from sim.sampling import FramePart
 from sim.world import World
 
@@ -166,7 +166,7 @@ def test_bands_are_spread_over_the_item() -> None:
     assert np.ptp(inner) > 150
     every, same = choose_sampled_rows(seen, 10**6)
     assert np.array_equal(every, same)
-    assert len(every) == 200 + 2 * MARGIN > BAND
+    assert len(every) == 200 + 2 * MARGIN > INNER
 
 
 @pytest.mark.whole
