@@ -89,9 +89,7 @@ class MatchingContext:
 
     def light_parameters(self, *more: str) -> tuple[str, ...]:
         response = () if self.reference.response is not None else ("b", "g")
-        is_held = abs(self.parameters.black_level - self._max_black) < 1e-9
-        black = () if is_held else ("black_level",)
-        return (self.white, "ink", "ambient", *black, *response, *more)
+        return (self.white, "ink", "ambient", "black_level", *response, *more)
 
     @property
     def _max_black(self) -> float:
@@ -104,10 +102,12 @@ class MatchingContext:
         fitted = light_fit.fit_light(self.reference, self.twin, names, self.samples)
         if "black_level" not in names or fitted.black_level <= self._max_black:
             return fitted
-        # Light that the parameters lack was taken for black: held, black leaves it to the ambient light.
+        # Light that the parameters lack was taken for black: held, black leaves it to the ambient light, but
+        # the bound of one parameter does not make the others better known.
         held = self.twin.with_parameters(replace(fitted, black_level=self._max_black))
         others = [name for name in names if name != "black_level"]
-        return light_fit.fit_light(self.reference, held, others, self.samples)
+        found = light_fit.fit_light(self.reference, held, others, self.samples)
+        return replace(found, sigma=fitted.sigma)
 
     def criterion(self, free: int) -> float:
         """Compute Schwarz's criterion of the samples, by the number of free parameters."""

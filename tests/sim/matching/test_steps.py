@@ -43,6 +43,10 @@ def fitted_black(reference: Reference, start: TwinParameters) -> tuple[float, fl
     at = at.with_parameters(found)
     again = at.fit(*at.light_parameters())
     assert again.black_level == pytest.approx(found.black_level, abs=1e-3)
+    known = light_fit.fit_light(
+        reference, at.with_parameters(again).twin, ["white", "ink", "ambient"], samples
+    )
+    assert again.sigma["ink"] > 1.5 * known.sigma["ink"]  # black is not known, though it may be held
     at = at.with_parameters(again)
     return FULL * found.black_level, light_fit.mean_square_difference(reference, at.twin, samples)
 
