@@ -18,6 +18,7 @@ from fpplab.core.extras import need_extra
 from fpplab.core.files import write_large
 from fpplab.core.notebook import grey_picture, html_table, plot_map
 from fpplab.phase.drift import PointingDrift
+from fpplab.phase.edges import EdgeBlur
 from fpplab.phase.limits import GUIDED_AXIS
 from fpplab.phase.outside import OutsideShare
 
@@ -70,13 +71,17 @@ class Decoded:
         is not saved.
     sigma_phase_error : ndarray of float32, (height, width), or None
         1-sigma of the coordinate in projector px by errors of the phase that are common to all pixels of one
-        phase, so that averaging does not lessen them: harmonics of the response, flicker of the lamp, and
-        rounding of the grey levels. None where neither the frames nor a measured response tell them.
+        phase, so that averaging does not lessen them: harmonics of the response, flicker of the lamp,
+        rounding of the grey levels, and what the correction of edges may leave. None where neither the
+        frames nor a measured response tell them.
     guided : GuidedAxis or None
         How the plan's guided axis agrees with the geometry; None where nothing guided it. It is not saved.
     drifts : mapping of str to PointingDrift
         By axis, how the projector's picture walked while the frames were taken, where they show it. It is
         not saved.
+    edges : EdgeBlur or None
+        The blur by which edges of reflectivity draw coordinates to their brighter side, and what it cost;
+        None without such edges. It is not saved.
     """
 
     u: Map
@@ -91,6 +96,7 @@ class Decoded:
     sigma_phase_error: Map | None = None
     guided: GuidedAxis | None = None
     drifts: Mapping[Axis, PointingDrift] = field(default_factory=dict)
+    edges: EdgeBlur | None = None
 
     def __repr__(self) -> str:
         height, width = self.sigma.shape

@@ -31,7 +31,7 @@ from fpplab.phase.bounds import (
 )
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.demodulation import AxisPhases, axis_phases
-from fpplab.phase.edges import add_errors_at_edges
+from fpplab.phase.edges import correct_edges
 from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.guided_axis import around_prediction, joined
 from fpplab.phase.isolated import isolated_pixels
@@ -133,16 +133,15 @@ def _decode_unwrapped(
             f"{bits} bits; say how many bits the camera gives"
         )
     _drop_doubtful_orders(maps, recording, sequences, errors, bounds)
-    axis = plan.axes[0]
-    blur_px2 = errors.sets[plan.finest_set(axis)].blur_px2
-    if blur_px2 != 0.0:
-        along = maps.u if axis == "x" else maps.v
-        coordinate, phase_error = (part.reshape(first.shape) for part in (along, maps.phase_error))
-        add_errors_at_edges(coordinate, recording.mean_image(), phase_error, blur_px2)
+    by_axis = {axis: maps.u if axis == "x" else maps.v for axis in plan.axes}
+    coordinates = {axis: values.reshape(first.shape) for axis, values in by_axis.items()}
+    parts = (maps.modulation, maps.sigma, maps.phase_error)
+    modulation, sigma, phase_error = (part.reshape(first.shape) for part in parts)
+    blur_px2 = errors.sets[plan.finest_set(plan.axes[0])].blur_px2
+    edges = correct_edges(coordinates, modulation, sigma, phase_error, recording, blur_px2)
     outside = outside_share(recording, sequences, errors, bounds)
-    decoded = replace(
-        _decoded_from_maps(recording, maps, first.shape, errors.phase_error_is_known), outside=outside
-    )
+    decoded = _decoded_from_maps(recording, maps, first.shape, errors.phase_error_is_known)
+    decoded = replace(decoded, outside=outside, edges=edges)
     if plan.order_vote is not None:
         for sequence in sequences:
             doubt = maps.doubt_u if sequence.axis == "x" else maps.doubt_v

@@ -52,6 +52,7 @@ def joined(leading: Decoded, guided: Decoded, predicted: Map, recording: Recordi
         disagreement=leading.disagreement,
         uncertain_order=leading.uncertain_order,
         outside=leading.outside,
+        edges=leading.edges,
     )
 
 

@@ -260,6 +260,36 @@ class DriftLimits(NamedTuple):
     scatter_passes: int = 5  # passes in which the frames' own scatter is estimated (chosen)
 
 
+class EdgeLimits(NamedTuple):
+    """Limits of the correction at edges of reflectivity."""
+
+    tile_px: int = 128  # side of a tile in px (chosen: an edge's tail ends in it)
+    margin_px: int = 16  # px around a tile that its tail takes light from (chosen: four times its width)
+    tiles_along: int = 8  # tiles along each side of the image (chosen)
+    min_tiles: int = 4  # fewest tiles whose scatter tells an uncertainty (chosen)
+    min_share: float = 0.5  # least share of a tile's pixels that are measured (chosen)
+    min_contrast: float = 0.15
+    """Range of the modulation in a tile with an edge, as a share of its median. Chosen."""
+    degree: int = 3
+    """Of the surface in a tile. Chosen: it follows parts that are smooth, and no edge."""
+    fit_passes: int = 2  # passes of the fit, each without the outliers of the one before (chosen)
+    fill_passes: int = 2  # passes in which what is left out takes the surface's value (chosen)
+    outlier_sigmas: float = 5.0  # residuals beyond this multiple of their spread are left out (chosen)
+    clean_ratio: float = 1.5
+    """What is left in a tile, beside its spread by the median, below which there are no outliers. Chosen."""
+    tail_px: float = 4.0
+    """Width of the tail. Measured on real boards of 4.7 to 6.6 px/mm: 4 px explain more than 2 and 8."""
+    significance: float = 4.0  # strength in its standard deviations that chance does not make (chosen)
+    unknown_px2: float = 0.5
+    """Standard deviation of the core's strength where frames do not tell it. Measured: the greatest of the
+    twin's and five real boards'."""
+    felt_share: float = 0.1
+    """Error beside a pixel's noise that counts. Chosen: a mean over 100 points shows it."""
+    model_share: float = 0.3
+    """Standard deviation of what a correction leaves, as a share of it. Measured on real boards:
+    0.08 to 0.37."""
+
+
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
@@ -269,3 +299,4 @@ BIASED_ORDERS = BiasedOrderLimits()
 LAG = LagLimits()
 DRIFT = DriftLimits()
 NEIGHBOURS = NeighbourLimits()
+EDGES = EdgeLimits()

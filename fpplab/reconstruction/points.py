@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,3 +57,13 @@ def triangulate(
         sigma_phase_error_mm=None if decoded.sigma_phase_error is None else solutions.phase_error,
     )
     return replace(cloud, normals=cloud.grid().normals()) if normals else cloud
+
+
+def cost_at_edges(decoded: Decoded, cloud: Cloud) -> dict[str, Any] | None:
+    """Tell how many points edges of reflectivity displace, by how many µm, and if it was corrected."""
+    blur = decoded.edges
+    if blur is None or cloud.sigma_noise_mm is None:
+        return None
+    um_per_px = 1e3 * np.median(cloud.sigma_noise_mm) / np.nanmedian(decoded.sigma)
+    rms_um = float(blur.rms_px * um_per_px)
+    return {"share": blur.share, "displacement_um": rms_um, "corrected": blur.is_corrected}

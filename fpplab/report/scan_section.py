@@ -15,6 +15,7 @@ from fpplab.diagnosis import Diagnosis
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, Wrapped
 from fpplab.reconstruction.filtering import count_removed
+from fpplab.reconstruction.points import cost_at_edges
 from fpplab.report import figures, uncertainty
 from fpplab.report.cloud_view import MAX_POINTS, cloud_view
 from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
@@ -122,6 +123,16 @@ def _describe_scan(scan: ScanSection) -> str:
     text += f"; {percent_text(float(decoded.valid.mean()))} of the camera's pixels are measured."
     if scan.uncertain_orders is not None:
         text += _uncertain_text(scan.uncertain_orders, decoded.u.size)
+    if scan.cloud is not None and (edges := cost_at_edges(decoded, scan.cloud)) and edges["share"]:
+        text += f" At {percent_text(edges['share'])} of these, edges of reflectivity "
+        text += (
+            "moved the points by {:.3g} µm RMS, which was corrected."
+            if edges["corrected"]
+            else (
+                "may move the points by {:.3g} µm RMS: too few show how blurred the image is to correct it."
+            )
+        )
+        text = text.format(edges["displacement_um"])
     if scan.depth is not None:
         near, far = scan.depth.mm
         text += f" Only distances from {near:g} to {far:g} mm count, by {scan.depth.source}."

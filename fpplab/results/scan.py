@@ -16,6 +16,7 @@ from fpplab.phase import Decoded
 from fpplab.phase.precision import uncertain_orders
 from fpplab.pipeline import Reconstruction
 from fpplab.reconstruction.filtering import count_removed
+from fpplab.reconstruction.points import cost_at_edges
 from fpplab.results.provenance import Provenance
 from fpplab.sessions.session import Session
 
@@ -126,6 +127,7 @@ class ScanResult:
             "depth_range": asdict(self.depth) if self.depth else None,
             "warnings": list(self.decoded.outside.warnings()) if self.decoded.outside else [],
             "uncertain_orders": uncertain_orders(self.decoded, self.session.plan),
+            "edges": cost_at_edges(self.decoded, self.cloud),
             "seconds": self.seconds,
         }
 
