@@ -167,7 +167,7 @@ def diagnose_scan(
         judged = Diagnosis(Verdict.USELESS, "there are no points", findings)
     else:
         one_axis = "stale_calibration: fringes along one axis alone do not show it"
-        few_steps = "projector_drift: no fringe set has five steps or is shown twice"
+        few_steps = "projector_drift: no fine fringe set has seven steps or is shown twice"
         unplaced = _unplaced(recording, cloud, geometry is None or geometry.region_is_known)
         is_seen = decoded.guided is not None or (geometry is not None and geometry.seen)
         unknown = (one_axis,) * (cloud.epipolar_px is None and not is_seen)

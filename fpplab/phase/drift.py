@@ -52,7 +52,7 @@ def pointing_drifts(samples: Sequence[Image], recording: Recording) -> dict[Axis
     plan, drifts = recording.plan, dict[Axis, PointingDrift]()
     for axis in plan.axes:
         size, modes = axis_length(recording.projector_size, axis), []
-        for k in plan.sets_along(axis):
+        for k in _fine_sets(plan, axis):
             period = size / plan.fringes[k].stripes
             sample = recording.grey * samples[k].astype(np.float64)
             modes += _modes_of_set(sample, plan.fringes[k], plan.masks.modulation_min, period)
@@ -68,16 +68,33 @@ def pointing_drifts(samples: Sequence[Image], recording: Recording) -> dict[Axis
 
 def can_show_drift(plan: Plan) -> bool:
     """Tell whether frames of a plan show drift along its first axis."""
-    sets = [plan.fringes[k] for k in plan.sets_along(plan.axes[0])]
+    sets = [plan.fringes[k] for k in _fine_sets(plan, plan.axes[0])]
     return any(fringe.images >= DRIFT.min_steps or sets.count(fringe) > 1 for fringe in sets)
 
 
-def ramp_error_rad(drift: PointingDrift, fringe: FringeSet, size: int) -> float:
+def _fine_sets(plan: Plan, axis: Axis) -> list[int]:
+    """Sets of fringes about as fine as the finest: what a response leaves of wide ones hides drift."""
+    least = DRIFT.min_stripes_share * plan.fringes[plan.finest_set(axis)].stripes
+    return [k for k in plan.sets_along(axis) if plan.fringes[k].stripes >= least]
+
+
+def phase_ramp(drift: PointingDrift, fringe: FringeSet, size: int) -> Floats:
+    """By how much the phase of each frame of a set lies beside that of their mean, (N,) in rad."""
+    frames = np.arange(fringe.images) - 0.5 * (fringe.images - 1)
+    return np.asarray(TWO_PI * fringe.stripes / size * drift.px_per_frame * frames)
+
+
+def ramp_error_rad(ramp: Floats, fringe: FringeSet) -> float:
     """RMS phase error of a set, twice in a period, by the ramp of its frames' phases."""
-    shift = fringe.phase_shifts()
-    ramp = TWO_PI * fringe.stripes / size * drift.px_per_frame * np.arange(len(shift))
-    turns = np.exp(2j * shift)
-    return float(np.abs((ramp - ramp.mean()) @ turns) / len(shift) / np.sqrt(2.0))
+    turns = np.exp(2j * fringe.phase_shifts())
+    return float(np.abs(ramp @ turns) / fringe.images / np.sqrt(2.0))
+
+
+def without_ramp(sample: Floats, fringe: FringeSet, ramp: Floats) -> Floats:
+    """Frames as they would be if the picture had stood still while the set was taken."""
+    # sample (N, P); ramp (N,) rad
+    by_phase = fringe_levels(fit_sinusoids(sample, fringe), fringe.phase_shifts())[1]
+    return np.asarray(sample - ramp[:, None] * by_phase)
 
 
 def _middle(plan: Plan, k: int) -> float:
@@ -87,7 +104,7 @@ def _middle(plan: Plan, k: int) -> float:
 def _modes_of_repeats(samples: Sequence[Image], recording: Recording, axis: Axis) -> list[_Modes]:
     """Compare the frames of sets that a plan shows twice: each pair shows the motion between them."""
     plan, modes = recording.plan, []
-    for first, again in combinations(plan.sets_along(axis), 2):
+    for first, again in combinations(_fine_sets(plan, axis), 2):
         fringe = plan.fringes[first]
         if fringe != plan.fringes[again]:
             continue

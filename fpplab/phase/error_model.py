@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 
@@ -37,7 +38,7 @@ from fpplab.phase.common_errors import (
     groups_of,
     noise_power,
 )
-from fpplab.phase.drift import PointingDrift, pointing_drifts, ramp_error_rad
+from fpplab.phase.drift import PointingDrift, phase_ramp, pointing_drifts, ramp_error_rad, without_ramp
 from fpplab.phase.lag import lag_error_rad, lag_share, without_lag
 from fpplab.phase.limits import NOISE, ORDERS
 from fpplab.phase.neighbours import with_errors_of_neighbours
@@ -91,6 +92,14 @@ def misfit_limits(errors: CommonErrors) -> tuple[float, float, float]:
 
 def error_model_of(recording: Recording) -> ErrorModel:
     plan, samples = recording.plan, _sample_pixels(recording)
+    usable = _find_usable_pixels(samples, full_scale(recording.bits))
+    drifts = pointing_drifts([sample[:, usable] for sample in samples], recording)
+    sizes = [axis_length(recording.projector_size, fringe.axis) for fringe in plan.fringes]
+    ramps = {
+        k: phase_ramp(drifts[fringe.axis], fringe, size)
+        for k, (fringe, size) in enumerate(zip(plan.fringes, sizes, strict=True))
+        if fringe.axis in drifts
+    }
     errors, fits = fit_errors(
         samples,
         plan.fringes,
@@ -98,19 +107,12 @@ def error_model_of(recording: Recording) -> ErrorModel:
         plan.masks.modulation_min,
         recording.harmonics,
         _sequences(recording),
+        ramps,
     )
-    sets = with_errors_of_neighbours(errors.sets, recording, errors.saturation, fits, errors.noise)
-    usable = _find_usable_pixels(samples, errors.saturation)
-    drifts = pointing_drifts([sample[:, usable] for sample in samples], recording)
-    drifting = [
-        replace(
-            own, drift_rad=ramp_error_rad(drifts[f.axis], f, axis_length(recording.projector_size, f.axis))
-        )
-        if f.axis in drifts
-        else own
-        for own, f in zip(sets, plan.fringes, strict=True)
-    ]
-    return replace(errors, sets=tuple(drifting), drifts=drifts)
+    sets = list(with_errors_of_neighbours(errors.sets, recording, errors.saturation, fits, errors.noise))
+    for k, ramp in ramps.items():
+        sets[k] = replace(sets[k], drift_rad=ramp_error_rad(ramp, plan.fringes[k]))
+    return replace(errors, sets=tuple(sets), drifts=drifts)
 
 
 def _sequences(recording: Recording) -> list[WavelengthSequence]:
@@ -138,6 +140,7 @@ def fit_errors(
     modulation_min: float = 0.0,
     harmonics: Floats | None = None,
     sequences: Sequence[WavelengthSequence] = (),
+    ramps: Mapping[int, Floats] = MappingProxyType({}),
 ) -> tuple[ErrorModel, dict[int, HarmonicsFit]]:
     """Estimate noise by photon transfer, beyond harmonics and flicker; robust against scene and motion."""
     # Where a set has more than three steps, noise is what the sinusoid leaves. Where all have three, it is
@@ -154,6 +157,8 @@ def fit_errors(
     lag = lag_share(levels, fringes, modulation_min)
     # What the frames before leave looks like flicker and noise.
     levels = without_lag(levels, lag)
+    for k, ramp in ramps.items():  # so does a picture that walks
+        levels[k] = without_ramp(levels[k], fringes[k], ramp)
     groups = groups_of(levels, fringes, modulation_min)
     fits = [fit_group(group) for group in groups]
     noise = _fit_noise_model(groups, fits, step * grey)

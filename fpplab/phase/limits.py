@@ -249,9 +249,10 @@ class LagLimits(NamedTuple):
 class DriftLimits(NamedTuple):
     """Limits of the look for a projector's picture that walks."""
 
-    min_steps: int = 5
-    """Fewest steps of a set that shows it by itself. Derived: four show two differences of phases alone, and
-    vibration makes two as alike as drift does."""
+    min_steps: int = 7
+    """Fewest steps of a set that shows it by itself. Derived: fewer show two or three combinations of their
+    phases, which vibration makes as alike as drift does."""
+    min_stripes_share: float = 0.5  # fewest stripes of a set, as a share of the finest's (chosen)
     min_pixels: int = 500  # fewest pixels that it is estimated from (chosen)
     max_pixels: int = 4000  # most pixels that it is estimated from (chosen: noise then counts for nothing)
     max_chance: float = 1e-4  # probability of a drift as clear without one (chosen)

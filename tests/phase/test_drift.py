@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.drift import place_of_scan
 from fpplab.patterns.plan import Plan
-from fpplab.phase.drift import PointingDrift, can_show_drift, ramp_error_rad
+from fpplab.phase.drift import PointingDrift, can_show_drift, phase_ramp, ramp_error_rad
 from fpplab.phase.error_model import error_model_of
 from tests.diagnosis.scenes import Bench, plan_of
 
@@ -16,12 +16,12 @@ SEED = 8
 
 def test_the_error_of_a_ramp_is_that_of_its_demodulation() -> None:
     fringe = Plan.load("plan_paper").fringes[2]
-    shift, drift = fringe.phase_shifts(), PointingDrift(0.05, 0.001, 30.0)
-    ramp = 2 * np.pi * 64 / 912 * 0.05 * (np.arange(12) - 5.5)
+    shift, ramp = fringe.phase_shifts(), phase_ramp(PointingDrift(0.05, 0.001, 30.0), fringe, 912)
+    np.testing.assert_allclose(ramp, 2 * np.pi * 64 / 912 * 0.05 * (np.arange(12) - 5.5))
     phase = np.linspace(0, 2 * np.pi, 200, endpoint=False)
     images = np.cos(phase[:, None] + ramp - shift)
     off = np.angle((images @ np.exp(1j * shift)) * np.exp(-1j * phase))
-    assert ramp_error_rad(drift, fringe, 912) == pytest.approx(float(np.std(off)), rel=0.02)
+    assert ramp_error_rad(ramp, fringe) == pytest.approx(float(np.std(off)), rel=0.02)
 
 
 def test_a_plan_tells_whether_it_can_show_drift() -> None:
