@@ -197,8 +197,7 @@ def characterise_command(
         _combine(recorded, out, force, json, {**unused, "--judge": judged, "--correct": corrected})
         return
     if corrected:
-        shown = (marks, marks_target) if marks else None
-        _correct(corrected, recorded, shown, out, force, json, {**unused, "--marks": None})
+        _correct(corrected, recorded, (marks, marks_target), out, force, json, {**unused, "--marks": None})
         return
     if judged:
         _judge(judged, recorded, out, force, confirm, json, unused)
@@ -284,7 +283,7 @@ def point_list_source(
 def _correct(
     path: Path,
     sessions: tuple[Path, ...],
-    marks: tuple[Path, str] | None,
+    marks: tuple[Path | None, str],
     out: Path | None,
     force: bool,
     json: bool,
@@ -299,7 +298,7 @@ def _correct(
         raise ConfigError("--correct needs sessions, one per pose, or the folder that holds them")
     if out is None:
         raise ConfigError("--correct needs --out, where the corrected calibration goes")
-    located = (marks[0], Target.load(marks[1])) if marks else None
+    located = (marks[0], Target.load(marks[1])) if marks[0] else None
     request = CorrectionRequest(path, sessions, out, force, located)
     result = run_correction(request, ConsoleObserver())
     console.print_result(result.summary(), json, lambda: _show_correction(result.correction))
