@@ -120,8 +120,7 @@ def _has_edges(modulation: Map) -> bool:
     known = known[np.isfinite(known)]
     if 16 * known.size < EDGES.min_share * modulation.size:
         return False
-    low, middle, high = np.percentile(known, (5, 50, 95))
-    return bool(high - low > EDGES.min_contrast * middle)
+    return bool(known.std() > EDGES.min_contrast * known.mean())
 
 
 def _fitted(normal: Floats, right: Floats) -> EdgeBlur | None:

@@ -269,8 +269,7 @@ class EdgeLimits(NamedTuple):
     tiles_along: int = 8  # tiles along each side of the image (chosen)
     min_tiles: int = 4  # fewest tiles whose scatter tells an uncertainty (chosen)
     min_share: float = 0.5  # least share of a tile's pixels that are measured (chosen)
-    min_contrast: float = 0.15
-    """Range of the modulation in a tile with an edge, as a share of its median. Chosen."""
+    min_contrast: float = 0.05  # spread of the modulation in a tile with an edge, as a share (chosen)
     degree: int = 3
     """Of the surface in a tile. Chosen: it follows parts that are smooth, and no edge."""
     fit_passes: int = 2  # passes of the fit, each without the outliers of the one before (chosen)
