@@ -62,6 +62,9 @@ def correct_edges(
     """Correct the coordinates in place, and add to the first one's error; None where there are no edges."""
     # Maps (height, width), in px but modulation. `blur_px2`: what neighbouring pixels show of the blur, 0 if
     # nothing; it is not separated from the surface's shape, so that it counts as uncertainty alone.
+    frames = recording.finest()[1]
+    if len(frames) == 3:  # their modulation ripples with the second harmonic of a bent response
+        modulation = np.where(np.isfinite(modulation), _mean(frames, recording.grey), _f(np.nan))
     normal, right = _normal_equations(list(coordinates.values()), modulation, recording)
     if not len(normal) and blur_px2 == 0.0:
         return None
@@ -104,7 +107,7 @@ def _normal_equations(
     def fits(tile: tuple[slice, slice]) -> list[tuple[Floats, Floats]]:
         if not _has_edges(modulation[tile]):
             return []
-        mean = np.mean([frame[tile] for frame in frames], axis=0, dtype=_f) * _f(recording.grey)
+        mean = _mean([frame[tile] for frame in frames], recording.grey)
         light = _light(modulation[tile], mean)
         found = (_fit_tile(coordinate[tile], modulation[tile], light) for coordinate in coordinates)
         return [fit for fit in found if fit is not None]
@@ -113,6 +116,10 @@ def _normal_equations(
         fitted = [fit for found in pool.map(fits, tiles) for fit in found]
     normal, right = zip(*fitted, strict=True) if fitted else ((), ())
     return np.array(normal), np.array(right)
+
+
+def _mean(frames: Sequence[NDArray[Any]], grey: float) -> Map:
+    return np.asarray(np.mean(frames, axis=0, dtype=_f) * _f(grey))
 
 
 def _has_edges(modulation: Map) -> bool:

@@ -27,8 +27,9 @@ class GrayBench(Bench):
     """Shows the bits of the Gray code of a column, the coarsest first, and the reverse of each if asked."""
 
     def _exposed(
-        self, k: int, step: int, seen: Floats, albedo: Floats, inside: Floats, random: np.random.Generator
-    ) -> Image:
+        self, k: int, step: int, seen: Floats, albedo: Floats, inside: Floats, random: np.random.Generator,
+        elapsed: float,
+    ) -> Image:  # fmt: skip
         bits = self.plan.fringes[k].images
         number = np.floor((seen[..., 0] + 0.5) / PROJECTOR[0] * 2**bits).astype(np.int64)
         bit = (number ^ (number >> 1)) >> (bits - 1 - step) & 1
@@ -45,13 +46,14 @@ class UnequalBench(Bench):
     shifts_deg: tuple[float, ...] = field(default=())
 
     def _exposed(
-        self, k: int, step: int, seen: Floats, albedo: Floats, inside: Floats, random: np.random.Generator
-    ) -> Image:
+        self, k: int, step: int, seen: Floats, albedo: Floats, inside: Floats, random: np.random.Generator,
+        elapsed: float,
+    ) -> Image:  # fmt: skip
         last = k == len(self.plan.fringes) - 1
         count = self.plan.fringes[k].images
         # A fraction of a step is a phase shift like any other.
         shown = self.shifts_deg[step] / 360.0 * count if last else step
-        return super()._exposed(k, shown, seen, albedo, inside, random)  # type: ignore[arg-type]
+        return super()._exposed(k, shown, seen, albedo, inside, random, elapsed)  # type: ignore[arg-type]
 
 
 def gray(seed: int, bits: int = 5) -> list[Image]:

@@ -117,9 +117,9 @@ def test_board_and_scans_count_alike_however_many_there_are() -> None:
     assert both.spread == pytest.approx(np.hypot(np.std(board, ddof=1), 0.2 / np.sqrt(2)))
     assert both.count == 7
     single = deviation(-0.3)
-    assert (single.mean, single.spread) == (-0.3, 0.6)
-    # A share that one scan had less of may be missing nearly whole in the next.
-    assert 1.96 * single.sigma > 0.95
+    assert (single.mean, single.spread) == (-0.3, 0.0)
+    # The interval holds what one scan differed by, and not several times that.
+    assert 0.3 < 1.96 * single.sigma(0.02) < 0.45
 
 
 def test_what_scans_show_by_themselves_is_named_with_the_part() -> None:
