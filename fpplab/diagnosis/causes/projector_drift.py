@@ -14,6 +14,8 @@ from fpplab.diagnosis.sample import FrameSample
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    if evidence.recording is None:
+        return
     sample, cloud = evidence.frames, evidence.cloud
     assert cloud is not None
     by_depth, images = evidence.points.px_per_mm_of_depth, sample.recording.plan.images
