@@ -22,6 +22,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm, t
 
 from fpplab.core.conventions import Axis, Floats, Map, Mask
 from fpplab.core.robust import robust_spread
@@ -140,9 +141,12 @@ def _fitted(normal: Floats, right: Floats) -> EdgeBlur | None:
         strengths[used] = inverse @ right.sum(axis=0)[used]
         rest = (right - normal @ strengths)[:, used]
         covariance[kept] = inverse @ (rest.T @ rest + whole[kept]) @ inverse
-        ratio = np.abs(strengths[used]) / np.sqrt(np.diag(covariance)[used])
-        if ratio.min() > EDGES.significance:
-            return EdgeBlur(strengths, covariance)
+        ratio = strengths[used] / np.sqrt(np.diag(covariance)[used])
+        if ratio.min() > t.isf(
+            norm.sf(EDGES.significance), len(right) - used.sum()
+        ):  # few tiles scatter little
+            is_blur = np.all(strengths <= EDGES.max_strengths_px2)  # else shapes and shadows look like edges
+            return EdgeBlur(strengths, covariance) if is_blur else None
         used[np.flatnonzero(used)[ratio.argmin()]] = False
     return None
 
@@ -265,9 +269,13 @@ def _correct(
             if coordinate[v, u] != coordinate[v, u]:
                 continue
             core, wide = _terms_at(coordinate, light, tail, v, u)
-            change[v, u] = strengths[0] * core + strengths[1] * wide
+            shift, left = strengths[0] * core + strengths[1] * wide, _f(EDGES.model_share)
+            if abs(shift) < _f(EDGES.max_change_px):
+                change[v, u] = shift
+            else:  # as at jumps and in the dark
+                left = _f(1)
             if len(error) > 0:
                 one = spread[0, 0] * core + spread[1, 0] * wide
-                other, model = spread[1, 1] * wide, EDGES.model_share * change[v, u]
+                other, model = spread[1, 1] * wide, left * shift
                 square = error[v, u] * error[v, u] + one * one + other * other + model * model
                 error[v, u] = np.sqrt(square)

@@ -280,11 +280,17 @@ class EdgeLimits(NamedTuple):
     tail_px: float = 4.0
     """Width of the tail. Measured on real boards of 4.7 to 6.6 px/mm: 4 px explain more than 2 and 8."""
     significance: float = 4.0  # strength in its standard deviations that chance does not make (chosen)
+    max_strengths_px2: tuple[float, float] = (2.0, 6.0)
+    """Core and tail of the widest blur that is believed. Chosen: a core of 1.4 px RMS, and a third of the
+    light in the tail; real boards show at most 0.52 and 2.7."""
     unknown_px2: float = 0.5
     """Standard deviation of the core's strength where frames do not tell it. Measured: the greatest of the
     twin's and five real boards'."""
     felt_share: float = 0.1
     """Error beside a pixel's noise that counts. Chosen: a mean over 100 points shows it."""
+    max_change_px: float = 1.0
+    """Displacement from which on the first order does not hold, and is stated in place of corrected. Chosen:
+    real boards need more at one edge pixel in a thousand."""
     model_share: float = 0.3
     """Standard deviation of what a correction leaves, as a share of it. Measured on real boards:
     0.08 to 0.37."""
