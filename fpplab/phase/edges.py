@@ -142,11 +142,11 @@ def _fitted(normal: Floats, right: Floats) -> EdgeBlur | None:
         rest = (right - normal @ strengths)[:, used]
         covariance[kept] = inverse @ (rest.T @ rest + whole[kept]) @ inverse
         ratio = strengths[used] / np.sqrt(np.diag(covariance)[used])
-        if ratio.min() > t.isf(
-            norm.sf(EDGES.significance), len(right) - used.sum()
-        ):  # few tiles scatter little
-            is_blur = np.all(strengths <= EDGES.max_strengths_px2)  # else shapes and shadows look like edges
-            return EdgeBlur(strengths, covariance) if is_blur else None
+        clear = t.isf(norm.sf(EDGES.significance), len(right) - used.sum())  # few tiles scatter little
+        if ratio.min() < -clear or np.any(strengths > EDGES.max_strengths_px2):
+            return None  # shapes and shadows that look like edges
+        if ratio.min() > clear:
+            return EdgeBlur(strengths, covariance)
         used[np.flatnonzero(used)[ratio.argmin()]] = False
     return None
 
