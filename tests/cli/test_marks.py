@@ -18,7 +18,9 @@ MARKS = {
     "target": "target_marks.yaml",
     "poses": [{"rotation_deg": [4, -3, 1], "translation_mm": [0, 0, 535]}],
 }
-FRINGES = [{"axis": axis, "stripes": n, "steps": 4} for axis in "xy" for n in (1, 8, 64)]
+FRINGES = [
+    {"axis": axis, "stripes": n, "steps": steps} for axis in "xy" for n, steps in ((1, 4), (8, 4), (64, 8))
+]
 
 
 @dataclass(frozen=True)
