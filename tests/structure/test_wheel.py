@@ -202,7 +202,7 @@ def test_a_missing_extra_is_named(run_installed: Run, words: list[str], extra: s
     assert answer["exit_code"] == 2
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_captures_are_characterised_and_reconstructed(
     run_installed: Run, captures: Path, tmp_path: Path
 ) -> None:
