@@ -96,9 +96,9 @@ def test_a_prediction_of_a_vibrating_twin_is_that_of_a_whole_synthesis(vibrating
     """Traced in a sample of rows, beside whole frames that are rendered, each with its own displacement."""
     plan = PLAN.model_copy(update={"filter": FilterRules()})  # keeps single gross errors out of the mean
     found, whole = predict(vibrating, plan, "pyramid"), measured(vibrating, plan, "pyramid")
-    # One scan of a part that vibrates differs from another by 1 to 13 %.
-    assert found.figures["distance_um"].value == pytest.approx(whole.distance_um, rel=0.06)
-    assert found.figures["noise_um"].value == pytest.approx(whole.noise_um, rel=0.03)
+    assert found.figures["distance_um"].value == pytest.approx(whole.distance_um, rel=0.03)
+    # One scan differs from the next by 1 %, and edges that whole frames alone show add another.
+    assert found.figures["noise_um"].value == pytest.approx(whole.noise_um, rel=0.05)
     assert found.figures["completeness"].value == pytest.approx(whole.completeness, rel=0.03)
 
 
