@@ -57,6 +57,24 @@ class Uncertainty:
         """Standard uncertainty of each parameter by name."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
+    def widened(self, added: Floats) -> Uncertainty:
+        """Add the covariance of a change of the rig, which may free parameters that were held constant.
+
+        Parameters
+        ----------
+        added : ndarray of float64, (P, P)
+            In the order of `PARAMETERS`, zero where nothing changes.
+
+        Returns
+        -------
+        Uncertainty
+            Of all parameters that are uncertain now, in the order of `PARAMETERS`.
+        """
+        whole, places = added.copy(), [PARAMETERS.index(name) for name in self.names]
+        whole[np.ix_(places, places)] += self.covariance
+        kept = np.flatnonzero(np.diag(whole) > 0)
+        return Uncertainty(tuple(PARAMETERS[k] for k in kept), whole[np.ix_(kept, kept)])
+
 
 _MAX_SIGMA = dict.fromkeys(("fx", "fy", "cx", "cy", *POSE), 1e6) | dict.fromkeys(DISTORTION, 1e9)
 """Standard uncertainties beyond which a number is damage and not knowledge, in px, mm, and rad or degrees."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from fpplab.calibration.error_modes import covariance_root
 from fpplab.calibration.marks import LocatedMarks
-from fpplab.calibration.model import PARAMETERS, Calibration, Uncertainty
+from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Correction
 from fpplab.characterisation.displacement import without_motion
 from fpplab.characterisation.marks import (
@@ -71,11 +71,8 @@ def widened_by_marks(calibration: Calibration, seen: SeenMarks) -> Calibration:
     """Add the change of the rig that marks make likely, and what they leave open, to the uncertainty."""
     if calibration.uncertainty is None or not isinstance(seen, MarksComparison):
         return calibration
-    names = calibration.uncertainty.names
-    places = [PARAMETERS.index(name) for name in names]
     changed = seen.covariance + np.outer(seen.change, seen.change)
-    covariance = calibration.uncertainty.covariance + changed[np.ix_(places, places)]
-    return replace(calibration, uncertainty=Uncertainty(names, covariance))
+    return replace(calibration, uncertainty=calibration.uncertainty.widened(changed))
 
 
 def marks_verdict(

@@ -6,7 +6,9 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 
-from fpplab.calibration.model import Calibration
+import numpy as np
+
+from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.core.checksums import write_recorded
 from fpplab.core.conventions import Axis
@@ -159,11 +161,10 @@ def widened_by_drift(calibration: Calibration, drifts: Mapping[Axis, PointingDri
     uncertainty = calibration.uncertainty
     if uncertainty is None or not drifts:
         return calibration
-    covariance = uncertainty.covariance.copy()
+    variances = np.zeros(len(PARAMETERS))
     for axis, drift in drifts.items():
-        at = uncertainty.names.index(f"projector.c{axis}")
-        covariance[at, at] += drift.shift_px**2
-    return replace(calibration, uncertainty=replace(uncertainty, covariance=covariance))
+        variances[PARAMETERS.index(f"projector.c{axis}")] = drift.shift_px**2
+    return replace(calibration, uncertainty=uncertainty.widened(np.diag(variances)))
 
 
 def _with_sigmas(

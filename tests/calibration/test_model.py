@@ -151,6 +151,16 @@ def test_uncertainty_is_loaded_as_it_was_saved(tmp_path: Path) -> None:
         assert written[k][0] == pytest.approx(unit * known.covariance[k, 0])
 
 
+def test_a_change_adds_to_the_covariance_and_frees_what_was_held() -> None:
+    known = Uncertainty(("projector.cy", "camera.fx"), np.array([[4.0, 1.0], [1.0, 9.0]]))
+    added = np.zeros((len(PARAMETERS),) * 2)
+    places = [PARAMETERS.index(name) for name in ("camera.fx", "projector.cx")]
+    added[np.ix_(places, places)] = [[1.0, 0.5], [0.5, 2.0]]
+    wider = known.widened(added)
+    assert wider.names == ("camera.fx", "projector.cx", "projector.cy")
+    np.testing.assert_array_equal(wider.covariance, [[10.0, 0.5, 1.0], [0.5, 2.0, 0.0], [1.0, 0.0, 4.0]])
+
+
 def test_a_file_without_uncertainty_is_still_a_calibration(tmp_path: Path) -> None:
     CALIBRATION.save(tmp_path / "c.yaml")
     assert "uncertainty" not in (tmp_path / "c.yaml").read_text()

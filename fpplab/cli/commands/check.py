@@ -84,8 +84,9 @@ def check_command(
         if steps or out or page or calibration is None:
             raise ConfigError("--board: goes with --calibration, and without --steps, --out and --report")
         of_board = Plan.load(plan or "plan_board")
-        request = BoardCheckRequest(Rig.load(rig), of_board, calibration, board, item or "board", force)
-        _check_board(request, json)
+        _check_board(
+            BoardCheckRequest(Rig.load(rig), of_board, calibration, board, item or "board", force), json
+        )
         return
     item, loaded = item or "grey_card", Plan.load(plan or "plan_scan.yaml")
     if steps:
@@ -93,7 +94,7 @@ def check_command(
             raise ConfigError("--steps: goes without --calibration, --out and --report; leave them out")
         _check_steps(Rig.load(rig), loaded, item, json)
         return
-    whole = CheckRequest(
+    request = CheckRequest(
         rig=Rig.load(rig),
         plan=loaded,
         item=item,
@@ -103,7 +104,7 @@ def check_command(
         force=force,
         calibration_file=calibration,
     )
-    result = run_check(whole, ConsoleObserver())
+    result = run_check(request, ConsoleObserver())
     console.print_result(result.summary(), json, lambda: _show_check(result.check))
     if result.check.findings:
         raise console.CommandExit(DeviceError.exit_code)
@@ -116,13 +117,10 @@ def _check_board(request: BoardCheckRequest, json: bool) -> None:
 
     def show() -> None:
         console.stdout.print(result.judged.judgement.verdict, markup=False)
-        if result.corrected is not None:
-            file, changes = (
-                result.corrected.calibration_file,
-                result.corrected.correction.probabilities.items(),
-            )
+        if (new := result.corrected) is not None:
+            changes = new.correction.probabilities.items()
             said = ", ".join(f"{name} ({100 * chance:.0f} %)" for name, chance in changes if chance > 0.05)
-            console.stdout.print(f"probably {said}; scan with {file}", markup=False)
+            console.stdout.print(f"probably {said}; scan with {new.calibration_file}", markup=False)
 
     console.print_result(result.summary(), json, show)
     if result.corrected is not None:
