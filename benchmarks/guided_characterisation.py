@@ -8,6 +8,7 @@ for the scale of the board, which no pose tells. Board, poses, noise and hands a
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -16,8 +17,11 @@ import numpy as np
 from benchmarks import Result, above, below
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, characterise
+from fpplab.characterisation.candidate_poses import candidate_poses
 from fpplab.characterisation.displacement import moved_points, without_motion
+from fpplab.characterisation.estimate import first_estimate
 from fpplab.characterisation.guide import Guide
+from fpplab.characterisation.next_pose import Design, best_pose
 from fpplab.characterisation.parameters import DistortionModel, Solution, vectors_of
 from fpplab.characterisation.pose_effects import smooth_functions
 from fpplab.characterisation.working_volume import WorkingVolume
@@ -190,4 +194,23 @@ def run() -> list[Result]:
             above(f"{what}_over_stated", ratio, "", COVERED[0]),
             below(f"{what}_over_stated_at_most", ratio, "", COVERED[1]),
         ]
-    return results
+    return [*results, time_of_choice()]
+
+
+def time_of_choice() -> Result:
+    """Time the choice among all candidate poses beside the characterisation that it is made from."""
+    rig, target = rigged(SEEDS[0]), Target.load("target_paper")
+    truth = rig.truth
+    observations = guided(rig, 5).observations
+    seconds = []
+    for _ in range(3):
+        begin = time.process_time()
+        estimate, _ = first_estimate(
+            observations, target, (truth.camera.size, truth.projector.size), truth.projector.lattice
+        )
+        adjusted = time.process_time()
+        candidates = candidate_poses(estimate.calibration, target.size_mm, DEPTH_MM)
+        best_pose(Design.of(estimate, WorkingVolume.of(estimate.calibration, DEPTH_MM)), candidates)
+        seconds.append((time.process_time() - adjusted, adjusted - begin))
+    choice, characterisation = np.median(seconds, axis=0)
+    return below("choice_of_next_pose", float(choice), "s", float(characterisation))

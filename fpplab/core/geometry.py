@@ -42,11 +42,13 @@ class RigidTransform:
         matrix, _ = cv2.Rodrigues(np.asarray(rotation_rad, np.float64).reshape(3))
         return cls(np.asarray(matrix, np.float64), np.asarray(translation, np.float64).reshape(3))
 
-    @property
+    @cached_property
     def rotation_vector(self) -> Floats:
-        """OpenCV's rotation vector in rad, (3,)."""
+        """OpenCV's rotation vector in rad, (3,), read-only."""
         # Not OpenCV's own inverse, which returns zero for every angle below 1e-5 rad.
-        return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec(), np.float64)
+        vector = np.array(Rotation.from_matrix(self.rotation).as_rotvec(), np.float64)
+        vector.flags.writeable = False
+        return vector
 
     @property
     def matrix(self) -> Floats:
