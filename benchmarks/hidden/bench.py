@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.hidden.effects import Effects, drawn_effects
+from benchmarks.hidden.foreign import Foreign, drawn_foreign
 from benchmarks.hidden.light import HiddenLight
 from benchmarks.hidden.worlds import BOARD, CARD, drawn_world
 from benchmarks.virtual import virtual_bench
+from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.conventions import Floats, Image
 from fpplab.core.files import write_text
@@ -28,7 +30,7 @@ from fpplab.pipeline import measure_response
 from fpplab.sessions.session import Session
 from sim.build import SceneState
 from sim.items import item_poses
-from sim.light import ShownPattern
+from sim.light import PatternLevels, ShownPattern
 from sim.sensor import SensorModel
 from sim.world import World
 
@@ -45,6 +47,7 @@ class HiddenBench:
     world: World  # the truth
     effects: Effects  # the truth beyond it
     light: HiddenLight  # of both
+    foreign: Foreign  # the truth that no twin can have
     frames: int = field(default=0)  # recorded so far: noise and all that changes with time follow from it
 
     def response(self, exposure_s: float) -> Response:
@@ -69,18 +72,47 @@ class HiddenBench:
         moved = SceneState(item, held=held.moved(np.array(self.effects.shaking.mm)))
         dark, lamp = self.light.irradiance(still, None), self.light.lamp(still)
         rows = np.arange(self.world.camera.size[1])[:, None]
+        # A set-up at a time, since its surfaces are kept until the next.
+        at_rest, displaced = (self._under_patterns(setup, patterns) for setup in (still, moved))
         for n in range(len(patterns)):
             random = np.random.default_rng([self.effects.seed, 4, self.frames])
             step = self._displacement(random)
-            show = ShownPattern(patterns, n)
-            seen = (1.0 - step) * self.light.irradiance(still, show)
-            seen += step * self.light.irradiance(moved, show)
+            seen = (1.0 - step) * at_rest[n] + step * displaced[n]
             flicker = 1.0 + self.effects.flicker * random.standard_normal()
+            flicker *= 1.0 - self.foreign.dimming * self.foreign.passed(self.frames)
             ripple = self._ripple(rows)
-            picture = dark + lamp * ripple + flicker * (seen - dark)
+            picture = self.foreign.seen(dark + lamp * ripple + flicker * (seen - dark))
             irradiance = np.maximum(picture, 0.0).astype(np.float32)
             yield sensor.expose(irradiance, settings, self.frames)
             self.frames += 1
+
+    def _under_patterns(self, setup: SceneState, patterns: tuple[Pattern, ...]) -> list[PatternLevels]:
+        """What the camera sees under every pattern, while the projector drifts from the first to the last."""
+        shares = self.foreign.span(self.frames, len(patterns))
+        early, late = (self._light_after(share) for share in shares)
+        shown = [ShownPattern(patterns, n) for n in range(len(patterns))]
+        seen = [early.irradiance(setup, show) for show in shown]
+        if shares[0] == shares[1]:
+            return seen
+        weights = np.linspace(0.0, 1.0, len(patterns), dtype=np.float32)
+        return [
+            (1 - weight) * before + weight * late.irradiance(setup, show)
+            for weight, before, show in zip(weights, seen, shown, strict=True)
+        ]
+
+    def _light_after(self, share: float) -> HiddenLight:
+        """Light of the world as the projector's drift has changed it by a share of its way."""
+        world = self.foreign.world(self.world, share)
+        if world == self.world:
+            return self.light
+        return HiddenLight(world, virtual_bench(self.rig).blender, self.effects, self.foreign)
+
+    def calibration_of_board(self, images: int) -> Calibration:
+        """Give the geometry, in the mean of the poses of the board, which were recorded first."""
+        count = len(item_poses(self.world, BOARD))
+        shares = [self.foreign.span(images * pose, images) for pose in range(count)]
+        world = self.foreign.world(self.world, float(np.mean(shares)))
+        return Calibration(world.camera_model(), world.projector_model(), world.T_projector_camera(), {})
 
     def _displacement(self, random: np.random.Generator) -> float:
         """Of a frame, in units of the standard deviation."""
@@ -114,15 +146,18 @@ def record_images(
 
 
 @contextmanager
-def hidden_bench(seed: int, folder: Path, poses: int = 12, binning: int = 8) -> Iterator[HiddenBench]:
-    """Draw and open a hidden bench."""
+def hidden_bench(
+    seed: int, folder: Path, poses: int = 12, binning: int = 8, kind: str | None = None
+) -> Iterator[HiddenBench]:
+    """Draw and open a hidden bench, with one of the kinds of foreign effects."""
     world, effects = drawn_world(seed, poses, binning), drawn_effects(seed)
+    foreign = drawn_foreign(kind, seed) if kind else Foreign()
     path = write_rig(world, folder, "Hidden bench")
     with Rig.load(path) as rig:
         bench = virtual_bench(rig)
-        light = HiddenLight(world, bench.blender, effects)
+        light = HiddenLight(world, bench.blender, effects, foreign)
         bench.light = light
-        yield HiddenBench(rig, world, effects, light)
+        yield HiddenBench(rig, world, effects, light, foreign)
 
 
 def write_rig(world: World, folder: Path, name: str) -> Path:

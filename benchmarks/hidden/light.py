@@ -8,6 +8,7 @@ second lamp adds light without shadows, and the camera's gain scales all.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -16,6 +17,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from benchmarks.hidden.effects import Effects, Falloff, Print
+from benchmarks.hidden.foreign import Foreign
 from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
@@ -40,10 +42,13 @@ WIDEST_MM = 100.0
 class HiddenLight(Light):
     """Light of a world with effects."""
 
-    def __init__(self, world: World, blender: Blender, effects: Effects) -> None:
+    def __init__(
+        self, world: World, blender: Blender, effects: Effects, foreign: Foreign | None = None
+    ) -> None:
         super().__init__(world, blender, analytic=True)
         self.effects, self._blotches = effects, _blotches(effects)
-        self._gain = camera_gain(world, effects)
+        self.foreign = foreign or Foreign()
+        self._gain = camera_gain(world, effects) * self.foreign.specks(*world.camera.size, 1)
         self._geometry: tuple[SceneState, Floats, Floats] | None = None
 
     def irradiance(
@@ -67,6 +72,13 @@ class HiddenLight(Light):
         falloff = 1.0 if self._falloff is None else self._falloff
         seen = np.nan_to_num(level) * self._albedo(setup) * falloff * self._gain
         return np.asarray(seen, np.float32)
+
+    def _pictures_from_table(
+        self, setup: SceneState, table: LightTable, light: Sequence[PatternLevels]
+    ) -> PatternLevels:
+        response = self._world.projector.response
+        changed = [self.foreign.mirrors(one, response.a + response.b) for one in light]
+        return super()._pictures_from_table(setup, table, changed)
 
     def _load_or_make(self, setup: SceneState, key: str) -> LightTable:
         board = isinstance(self._world.item(setup.item), BoardItem)

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden.effects import Effects, Falloff, Print, SecondLamp, drawn_effects
+from benchmarks.hidden.foreign import KINDS, SESSION_FRAMES, Foreign, drawn_foreign
 from benchmarks.hidden.light import HiddenLight, bend, camera_gain, falloff
 from benchmarks.hidden.worlds import BOARD, MOVED, PAINTED, SHAPES, drawn_world, nominal_world
 from fpplab.core.conventions import Floats
 from fpplab.patterns.fringes import Pattern, uniform_patterns
 from sim.build import SceneState
 from sim.items import item_poses
-from sim.light import Light, ShownPattern
+from sim.light import Light, PatternLevels, ShownPattern
 from sim.worker import Blender
 from sim.world import BoardItem, World
 
@@ -203,3 +204,62 @@ def test_a_world_is_drawn_and_the_twin_does_not_know_it(world: World) -> None:
     for section in ("projector", "camera", "ambient", "material"):
         assert getattr(nominal, section) != getattr(world, section), section
     assert replace(drawn_effects(SEED), seed=2) != drawn_effects(2)
+
+
+def test_a_bench_has_one_foreign_effect_and_usually_none(world: World) -> None:
+    drawn = [drawn_foreign(kind, SEED) for kind in KINDS]
+    assert len(set(drawn)) == len(KINDS)
+    none, light = Foreign(SEED), np.full((6, 4), 0.3, np.float32)
+    assert none.world(world, 1.0) == world
+    assert none.mirrors(light, 0.7) is light
+    assert none.seen(light) is light
+    assert (none.specks(4, 6, 1) == 1).all()
+    assert none.span(10, 32)[0] == none.span(10, 32)[1]
+
+
+def test_the_projector_drifts_within_a_recording_or_warms_between_two(world: World) -> None:
+    drift, warm = Foreign(picture_px=(0.5, -0.2)), Foreign(zoom=1e-3, pointing_deg=(0.02, 0.0))
+    begun, ended = drift.span(0, int(SESSION_FRAMES) + 1)
+    assert begun == 0
+    assert ended == pytest.approx(1 - np.exp(-1))
+    assert warm.span(7, 32)[0] == warm.span(7, 32)[1] > 0
+    moved = drift.world(world, 0.5).projector_model().matrix - world.projector_model().matrix
+    assert moved[:2, 2] == pytest.approx([0.25, -0.1])
+    warmed, cold = warm.world(world, 1.0), world
+    assert warmed.projector_model().matrix[0, 0] == pytest.approx(1.001 * cold.projector_model().matrix[0, 0])
+    turn = warmed.T_projector_camera().rotation @ cold.T_projector_camera().rotation.T
+    assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) == pytest.approx(0.02, rel=0.05)
+
+
+def test_the_response_bends_with_the_place_and_keeps_black_and_white() -> None:
+    bent = Foreign(bend=(0.05, 0.0, 0.0))
+    shown = [bent.mirrors(np.full((3, 5), level, np.float32), 0.8) for level in (0.0, 0.4, 0.8)]
+    assert shown[0] == pytest.approx(0.0)
+    assert shown[1][1] == pytest.approx(0.4 + 0.05 * 0.2 * np.linspace(-1, 1, 5))
+    assert shown[2] == pytest.approx(0.8)
+
+
+def test_points_spread_further_in_one_direction() -> None:
+    point = np.zeros((41, 41), np.float32)
+    point[20, 20] = 1.0
+    row, column = np.mgrid[-20:21, -20:21]
+
+    def variances(image: PatternLevels) -> tuple[float, float]:
+        return float((image * column**2).sum()), float((image * row**2).sum())
+
+    assert variances(Foreign(projector_px=(0.0, 1.5)).mirrors(point, 1.0)) == pytest.approx(
+        (0.0, 2.25), rel=0.01
+    )
+    assert variances(Foreign(projector_px=(1.0, 0.0)).mirrors(point, 1.0)) == pytest.approx(
+        (1.0, 0.0), rel=0.01
+    )
+    across, down = variances(Foreign(camera_px=1.2, camera_deg=90.0).seen(point))
+    assert down == pytest.approx(1.44, rel=0.03)
+    assert across < 0.01
+
+
+def test_dust_takes_no_more_than_it_says() -> None:
+    taken = 1.0 - Foreign(SEED, speck=0.1).specks(300, 200, 1)
+    assert 0.02 < taken.max() < 0.2
+    assert np.median(taken) < 1e-3
+    assert (taken != 1.0 - Foreign(SEED, speck=0.1).specks(300, 200, 0)).any()

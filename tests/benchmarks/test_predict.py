@@ -7,9 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.predict import JudgedBench, PredictSetup, errors_in_sigmas, figures, poses_off_um
+from benchmarks.predict import (
+    JudgedBench,
+    PredictSetup,
+    errors_in_sigmas,
+    figures,
+    poses_off_um,
+    steps_nearer_than_kept,
+)
 from fpplab.calibration.model import Uncertainty
 from fpplab.core.geometry import RigidTransform
+from sim.matching.record import MatchingEpoch, ParametersFile
+from sim.parameters import TwinParameters
 from sim.prediction import MeasuredFigures, Prediction
 from sim.prediction.intervals import FigureInterval
 from tests.support.plane_twin import nominal, tilted
@@ -79,7 +88,7 @@ def measured(distance: float) -> MeasuredFigures:
 
 def test_shares_of_predictions_are_counted() -> None:
     one = JudgedBench(
-        1, None, np.array([10.0, 20.0, 60.0]), {"a": 1.0, "b": -4.0},
+        1, None, True, ("noise",), np.array([10.0, 20.0, 60.0]), {"a": 1.0, "b": -4.0},
         {"plan": (prediction(10.0), measured(10.5)), "pose": (prediction(10.0), measured(14.0))},
     )  # fmt: skip
     found = {result.name: result for result in figures([one, JudgedBench(2, "no")])}
@@ -87,7 +96,9 @@ def test_shares_of_predictions_are_counted() -> None:
     assert values == pytest.approx(
         {
             "predict_refused": 1,
-            "predict_poses": 20,
+            "predict_believed_wrong": 1,
+            "predict_refused_steps_nearer": 1,
+            "predict_poses": np.sqrt(4100 / 3),
             "predict_parameters_within_3_sigma": 0.5,
             "predict_distance_um_within_10_percent": 0.5,
             "predict_noise_um_within_10_percent": 0.0,
@@ -98,8 +109,32 @@ def test_shares_of_predictions_are_counted() -> None:
         }
     )
     assert found["predict_refused"].ratio < 1
-    assert found["predict_poses"].ratio == pytest.approx(1.5)
-    assert len(figures([JudgedBench(2, "no")])) == 1
+    assert found["predict_poses"].ratio == pytest.approx(30 / np.sqrt(4100 / 3))
+    assert not replace(one, is_good=False).is_believed_wrong
+    assert len(figures([JudgedBench(2, "no")])) == 3
+
+
+def test_steps_taken_back_are_judged_by_the_truth() -> None:
+    truth = nominal(tilted(2))
+    start, near, far = (
+        replace(truth, f_number=truth.f_number + off, sigma={"f_number": 0.1}) for off in (0.5, 0.2, 0.8)
+    )
+
+    def epoch(name: str, accepted: bool, parameters: TwinParameters) -> MatchingEpoch:
+        return MatchingEpoch(
+            epoch=0, step=name, accepted=accepted, loss={}, difference=0.0, seconds=0.0,
+            parameters=ParametersFile.of(parameters),
+        )  # fmt: skip
+
+    epochs = [epoch("start", True, start), epoch("away", False, far), epoch("nearer", False, near)]
+    assert list(steps_nearer_than_kept(epochs, truth)) == ["nearer: 3.0 σ, poses 0.0 µm"]
+    apart = truth.poses[1].translation - truth.poses[0].translation
+    further = truth.poses[1].moved(0.1 * apart / np.linalg.norm(apart))
+    moved = replace(start, poses=(truth.poses[0], further), sigma={"poses_um": 20.0})
+    epochs = [epoch("start", True, moved), epoch("images", False, replace(start, sigma={"poses_um": 20.0}))]
+    assert list(steps_nearer_than_kept(epochs, truth)) == ["images: 0.0 σ, poses 50.0 µm"]
+    epochs = [epoch("start", True, start), epoch("light", True, near)]
+    assert list(steps_nearer_than_kept(epochs, truth)) == []
 
 
 def test_development_and_judging_do_not_meet() -> None:
