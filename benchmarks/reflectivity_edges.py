@@ -2,12 +2,14 @@
 
 Boards of the virtual bench are judged, and by `python -m benchmarks.reflectivity_edges TARGET SESSION…`
 recorded ones. Away from edges a smooth surface is fitted to the coordinates; beside edges across the fringes
-they are compared with it, towards the brighter side. The baseline is decoding without the correction.
+they are compared with it, towards the brighter side. The baseline is decoding without the correction, and
+twice its time.
 """
 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,6 +37,8 @@ RIG, SEEDS, POSES = "rig_demo", (71, 72), 2
 NEAR_MM, FAR_MM, DEGREE = 0.5, 1.2, 8
 BINS = 5
 """Distances at which biases are taken, on either side of an edge."""
+SLOWER, REPEATS = 2.0, 5
+"""How many times as long decoding may take with the correction, and how often it is timed."""
 WRONG_PX = 4.0
 """Coordinates that are further off have a wrong fringe order; errors at edges are tenths of a pixel."""
 
@@ -100,10 +104,12 @@ def edge_figures(found: dict[str, Floats]) -> tuple[float, float, float]:
 
 def compared(name: str, recording: Recording, target: Target) -> list[Result]:
     """Judge one recording with and without the correction."""
-    results = []
     decoded = decode(recording)
     with patch("fpplab.phase.edges.EDGES", EDGES._replace(significance=np.inf)):
         before = decode(recording)
+    seconds = _decoding_seconds(recording)
+    with patch("fpplab.phase.decoding.correct_edges", return_value=None):
+        results = [below(f"{name}_decoding", seconds, "s", SLOWER * _decoding_seconds(recording))]
     for axis in recording.plan.axes:
         bias, noise, covered = edge_figures(errors_beside_edges(recording, decoded, target, axis))
         was, quiet, _ = edge_figures(errors_beside_edges(recording, before, target, axis))
@@ -112,6 +118,16 @@ def compared(name: str, recording: Recording, target: Target) -> list[Result]:
         if axis == recording.plan.axes[0]:
             results += [above(f"{name}_{axis}_covered", covered, "share", 0.92)]
     return results
+
+
+def _decoding_seconds(recording: Recording) -> float:
+    """Take the processor's time for decoding, the least of some."""
+    seconds = []
+    for _ in range(REPEATS):
+        begin = time.process_time()
+        decode(recording)
+        seconds.append(time.process_time() - begin)
+    return min(seconds)
 
 
 def run() -> list[Result]:

@@ -65,62 +65,69 @@ def correct_edges(
     # nothing; it is not separated from the surface's shape, so that it counts as uncertainty alone.
     frames = recording.finest()[1]
     if len(frames) == 3:  # their modulation ripples with the second harmonic of a bent response
-        modulation = np.where(np.isfinite(modulation), _mean(frames, recording.grey), _f(np.nan))
-    normal, right = _normal_equations(list(coordinates.values()), modulation, recording)
+        mean = np.mean(frames, axis=0, dtype=_f) * _f(recording.grey)
+        modulation = np.where(np.isfinite(modulation), mean, _f(np.nan))
+    places = _tiles_with_edges(modulation)
+    if not places and blur_px2 == 0.0:
+        return None
+    light = _light(modulation, mean if len(frames) == 3 else recording.mean_image())
+    tail, maps = _tail(light), list(coordinates.values())
+    normal, right = _normal_equations(maps, light, modulation, tail, places)
     if not len(normal) and blur_px2 == 0.0:
         return None
     blur = _fitted(normal, right) if len(normal) >= EDGES.min_tiles else None
     if blur is None:
         blur = EdgeBlur(np.zeros(2), np.diag([max(EDGES.unknown_px2, abs(blur_px2)) ** 2, 0.0]))
-    light = _light(modulation, recording.mean_image())
-    tail, strengths = _tail(light), blur.strengths.astype(_f)
+    strengths = blur.strengths.astype(_f)
     spread = np.linalg.cholesky(blur.covariance + 1e-12 * np.eye(2)).astype(_f)
-    before, error, sizes = phase_error[::4, ::4].copy(), phase_error, []
-    bands = [(first, min(first + _ROWS, len(light))) for first in range(0, len(light), _ROWS)]
-    for coordinate in coordinates.values():
-        change = np.zeros_like(coordinate)
-        work = partial(_correct, coordinate, light, tail, strengths, spread, change, error)
-        with ThreadPoolExecutor() as pool:
-            list(pool.map(lambda band, work=work: work(*band), bands))
+    before, changes = phase_error[::4, ::4].copy(), np.zeros((len(maps), *light.shape), _f)
+    first, last = maps[0], maps[-1]
+    work = partial(_correct, first, last, light, tail, strengths, spread, changes, phase_error)
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(work, range(0, len(light), _ROWS)))
+    for coordinate, change in zip(maps, changes, strict=True):
         np.subtract(coordinate, change, out=coordinate)
-        error = np.empty((0, 0), _f)
-        sizes.append(np.abs(change[::4, ::4]))
     few = sigma[::4, ::4]
-    size = sizes[0] if blur.is_corrected else np.sqrt(np.square(phase_error[::4, ::4]) - np.square(before))
+    size = np.sqrt(np.square(phase_error[::4, ::4]) - np.square(before))
+    if blur.is_corrected:
+        size = np.abs(changes[0, ::4, ::4])
     felt = size[size > EDGES.felt_share * few]
     rms_px = float(np.sqrt(np.mean(np.square(felt)))) if felt.size else 0.0
     return replace(blur, share=felt.size / max(1, np.isfinite(few).sum()), rms_px=rms_px)
 
 
-def _normal_equations(
-    coordinates: Sequence[Map], modulation: Map, recording: Recording
-) -> tuple[Floats, Floats]:
-    """Normal equations (T, 2, 2) and (T, 2) of the strengths in tiles with edges."""
-    frames, margin = recording.finest()[1], EDGES.margin_px
-    side = EDGES.tile_px + 2 * margin
+def _tiles_with_edges(modulation: Map) -> list[tuple[int, int]]:
+    """First rows and columns of tiles with edges, of those that are spread over the image."""
+    side = EDGES.tile_px + 2 * EDGES.margin_px
     counts = [min(EDGES.tiles_along, size // side) for size in modulation.shape]
     tops, lefts = (
-        (size * (np.arange(n) + 0.5) / max(n, 1) - 0.5 * side).astype(int)
+        (size * (np.arange(n) + 0.5) / max(n, 1) - 0.5 * side).astype(int).tolist()
         for size, n in zip(modulation.shape, counts, strict=True)
     )
-    tiles = [np.s_[top : top + side, left : left + side] for top in tops for left in lefts]
+    every = ((top, left) for top in tops for left in lefts)
+    return [
+        (top + EDGES.margin_px, left + EDGES.margin_px)
+        for top, left in every
+        if _has_edges(modulation[top : top + side, left : left + side])
+    ]
 
-    def fits(tile: tuple[slice, slice]) -> list[tuple[Floats, Floats]]:
-        if not _has_edges(modulation[tile]):
-            return []
-        mean = _mean([frame[tile] for frame in frames], recording.grey)
-        light = _light(modulation[tile], mean)
-        found = (_fit_tile(coordinate[tile], modulation[tile], light) for coordinate in coordinates)
+
+def _normal_equations(
+    coordinates: Sequence[Map], light: Map, modulation: Map, tail: Map, places: Sequence[tuple[int, int]]
+) -> tuple[Floats, Floats]:
+    """Normal equations (T, 2, 2) and (T, 2) of the strengths in tiles."""
+
+    def fits(place: tuple[int, int]) -> list[tuple[Floats, Floats]]:
+        tile = np.s_[place[0] : place[0] + EDGES.tile_px, place[1] : place[1] + EDGES.tile_px]
+        values = np.empty((len(coordinates), 3, EDGES.tile_px, EDGES.tile_px), _f)
+        _fill_terms(coordinates[0], coordinates[-1], light, tail, *place, values)
+        found = (_fit_tile(each, np.nan_to_num(modulation[tile])) for each in values)
         return [fit for fit in found if fit is not None]
 
     with ThreadPoolExecutor() as pool:
-        fitted = [fit for found in pool.map(fits, tiles) for fit in found]
+        fitted = [fit for found in pool.map(fits, places) for fit in found]
     normal, right = zip(*fitted, strict=True) if fitted else ((), ())
     return np.array(normal), np.array(right)
-
-
-def _mean(frames: Sequence[NDArray[Any]], grey: float) -> Map:
-    return np.asarray(np.mean(frames, axis=0, dtype=_f) * _f(grey))
 
 
 def _has_edges(modulation: Map) -> bool:
@@ -151,25 +158,21 @@ def _fitted(normal: Floats, right: Floats) -> EdgeBlur | None:
     return None
 
 
-def _fit_tile(coordinate: Map, modulation: Map, light: Map) -> tuple[Floats, Floats] | None:
-    """Normal equations of the strengths in one tile with its margin, per variance of what they leave."""
-    terms = np.zeros((2, *coordinate.shape), _f)
-    _fill_terms(np.ascontiguousarray(coordinate), light, _tail(light), terms)
-    inner = slice(EDGES.margin_px, -EDGES.margin_px)
-    values = np.concatenate([coordinate[None], terms])[:, inner, inner]
-    weight = np.nan_to_num(modulation[inner, inner])
-    used = np.isfinite(values).all(axis=0) & (weight > 0.0)
+def _fit_tile(values: Map, weight: Map) -> tuple[Floats, Floats] | None:
+    """Normal equations of the strengths in one tile, per variance of what they leave."""
+    # values (3, side, side): the coordinate and its two terms
+    used = np.isfinite(values.sum(axis=0)) & (weight > 0.0)
     for _ in range(EDGES.fit_passes):
         if used.mean() < EDGES.min_share:
             return None
-        rest, *beside = weight * _without_surface(values, used)
-        a = np.stack(beside)[:, used]
-        normal, right = np.einsum("ap,bp->ab", a, a), np.einsum("ap,p->a", a, rest[used])
-        left = np.abs(rest - np.tensordot(np.linalg.pinv(normal, hermitian=True) @ right, beside, 1))
-        spread = robust_spread(left[used][::7])
-        if np.square(left[used]).mean() < (EDGES.clean_ratio * spread) ** 2:
+        rest = np.where(used, weight * _without_surface(values, used), _ZERO).reshape(3, -1)
+        products = (rest @ rest.T).astype(np.float64)
+        normal, right = products[1:, 1:], products[1:, 0]
+        left = np.abs(rest[0] - (np.linalg.pinv(normal, hermitian=True) @ right).astype(_f) @ rest[1:])
+        count, spread = used.sum(), robust_spread(left[used.ravel()][::7])
+        if left @ left / count < (EDGES.clean_ratio * spread) ** 2:
             break
-        used &= left < EDGES.outlier_sigmas * spread
+        used &= left.reshape(used.shape) < EDGES.outlier_sigmas * spread
     return normal / spread**2, right / spread**2
 
 
@@ -184,8 +187,8 @@ def _without_surface(values: Map, used: Mask) -> Map:
     """Take smooth surfaces off maps (K, side, side); what is not used follows them."""
     basis, orders = _polynomials(), np.arange(EDGES.degree + 1)
     keep = np.add.outer(orders, orders) <= EDGES.degree
-    smooth = np.broadcast_to(np.mean(values, axis=(1, 2), where=used, keepdims=True), values.shape)
-    for _ in range(EDGES.fill_passes):
+    smooth = np.mean(values, axis=(1, 2), where=used, keepdims=True)
+    for _ in range(1 if used.all() else EDGES.fill_passes):
         filled = np.where(used, values, smooth)
         smooth = basis @ (keep * (basis.T @ (filled @ basis))) @ basis.T
     return np.asarray(values - smooth)
@@ -194,7 +197,8 @@ def _without_surface(values: Map, used: Mask) -> Map:
 def _light(modulation: Map, mean: NDArray[Any]) -> Map:
     """The modulation, and where it is not measured what the mean of the frames tells of it."""
     known = np.isfinite(modulation)
-    some, of = modulation[known][::7].astype(np.float64), mean[known][::7].astype(np.float64)
+    few = known[::4, ::4]
+    some, of = (each[::4, ::4][few].astype(np.float64) for each in (modulation, mean))
     ratio = some @ of / (of @ of) if some.size else 0.0
     return np.where(known, modulation, _f(ratio) * mean)
 
@@ -233,49 +237,74 @@ def _step(light: Any, v: int, u: int, down: int, across: int) -> float:
 
 
 @compiled
-def _terms_at(coordinate: Any, light: Any, tail: Any, v: int, u: int) -> tuple[float, float]:
-    """What core and tail of strength 1 add to the coordinate."""
-    along_v = _slope(coordinate, v, u, _REACH, 0) * _f(1 / _REACH)
-    along_u = _slope(coordinate, v, u, 0, _REACH) * _f(1 / _REACH)
-    core = along_v * _step(light, v, u, 1, 0) + along_u * _step(light, v, u, 0, 1)
+def _tail_at(tail: Any, k: int, v: int, u: int) -> float:
+    """Gradient of the light of the tail, interpolated between bins."""
     y, x = (_f(v) + _f(0.5)) / _f(_BIN) - _f(0.5), (_f(u) + _f(0.5)) / _f(_BIN) - _f(0.5)
     row, column = min(int(y), tail.shape[1] - 2), min(int(x), tail.shape[2] - 2)
     y, x = y - _f(row), x - _f(column)
-    wide = _ZERO
-    for k, slope in ((0, along_v), (1, along_u)):
-        upper = tail[k, row, column] * (_f(1) - x) + tail[k, row, column + 1] * x
-        lower = tail[k, row + 1, column] * (_f(1) - x) + tail[k, row + 1, column + 1] * x
-        wide += slope * (upper * (_f(1) - y) + lower * y)
-    own = _f(1) / light[v, u]
-    return core * own, wide * own
+    upper = tail[k, row, column] * (_f(1) - x) + tail[k, row, column + 1] * x
+    lower = tail[k, row + 1, column] * (_f(1) - x) + tail[k, row + 1, column + 1] * x
+    gradient: float = upper * (_f(1) - y) + lower * y
+    return gradient
 
 
 @compiled
-def _fill_terms(coordinate: Any, light: Any, tail: Any, terms: Any) -> None:
-    height, width = coordinate.shape
-    for v in range(_REACH, height - _REACH):
-        for u in range(_REACH, width - _REACH):
-            terms[0, v, u], terms[1, v, u] = _terms_at(coordinate, light, tail, v, u)
+def _brightening(light: Any, tail: Any, v: int, u: int) -> Any:
+    """Relative gradient of the light along rows and columns: two of the core's, two of the tail's."""
+    core_v, core_u = _step(light, v, u, 1, 0), _step(light, v, u, 0, 1)
+    own = _f(1) / light[v, u]
+    return own * core_v, own * core_u, own * _tail_at(tail, 0, v, u), own * _tail_at(tail, 1, v, u)
+
+
+@compiled
+def _terms_at(coordinate: Any, brightening: Any, v: int, u: int) -> tuple[float, float]:
+    """What core and tail of strength 1 add to the coordinate."""
+    core_v, core_u, tail_v, tail_u = brightening
+    along_v = _slope(coordinate, v, u, _REACH, 0) * _f(1 / _REACH)
+    along_u = _slope(coordinate, v, u, 0, _REACH) * _f(1 / _REACH)
+    return along_v * core_v + along_u * core_u, along_v * tail_v + along_u * tail_u
+
+
+@compiled
+def _fill_terms(
+    first: Any, last: Any, light: Any, tail: Any, top: int, left: int, values: Any
+) -> None:  # fmt: skip
+    """Fill a tile with the coordinates and the terms of each."""
+    for v in range(values.shape[2]):
+        for u in range(values.shape[3]):
+            at = _brightening(light, tail, top + v, left + u)
+            values[0, 0, v, u] = first[top + v, left + u]
+            values[0, 1, v, u], values[0, 2, v, u] = _terms_at(first, at, top + v, left + u)
+            if len(values) > 1:
+                values[1, 0, v, u] = last[top + v, left + u]
+                values[1, 1, v, u], values[1, 2, v, u] = _terms_at(last, at, top + v, left + u)
 
 
 @compiled
 def _correct(
-    coordinate: Any, light: Any, tail: Any, strengths: Any, spread: Any, change: Any, error: Any,
-    first: int, end: int,
+    first: Any, last: Any, light: Any, tail: Any, strengths: Any, spread: Any, changes: Any, error: Any,
+    top: int,
 ) -> None:  # fmt: skip
-    height, width = coordinate.shape
-    for v in range(max(first, _REACH), min(end, height - _REACH)):
+    height, width = light.shape
+    for v in range(max(top, _REACH), min(top + _ROWS, height - _REACH)):
         for u in range(_REACH, width - _REACH):
-            if coordinate[v, u] != coordinate[v, u]:
+            if first[v, u] != first[v, u] and last[v, u] != last[v, u]:
                 continue
-            core, wide = _terms_at(coordinate, light, tail, v, u)
+            at = _brightening(light, tail, v, u)
+            if len(changes) > 1 and last[v, u] == last[v, u]:
+                core, wide = _terms_at(last, at, v, u)
+                shift = strengths[0] * core + strengths[1] * wide
+                if abs(shift) < _f(EDGES.max_change_px):
+                    changes[1, v, u] = shift
+            if first[v, u] != first[v, u]:
+                continue
+            core, wide = _terms_at(first, at, v, u)
             shift, left = strengths[0] * core + strengths[1] * wide, _f(EDGES.model_share)
             if abs(shift) < _f(EDGES.max_change_px):
-                change[v, u] = shift
+                changes[0, v, u] = shift
             else:  # as at jumps and in the dark
                 left = _f(1)
-            if len(error) > 0:
-                one = spread[0, 0] * core + spread[1, 0] * wide
-                other, model = spread[1, 1] * wide, left * shift
-                square = error[v, u] * error[v, u] + one * one + other * other + model * model
-                error[v, u] = np.sqrt(square)
+            one = spread[0, 0] * core + spread[1, 0] * wide
+            other, model = spread[1, 1] * wide, left * shift
+            square = error[v, u] * error[v, u] + one * one + other * other + model * model
+            error[v, u] = np.sqrt(square)

@@ -22,18 +22,24 @@ def printed(side: int, tail: float = 0.15) -> tuple[Recording, Floats, Floats]:
     v, u = (np.indices((FINE * side,) * 2) + 0.5) / FINE - 0.5
     true = 60.0 + 1.2 * u + 0.2 * v + 2e-4 * (u - 0.4 * side) ** 2
     ink = (np.floor((u + 0.13 * v) / 37.0) + np.floor((v - 0.13 * u) / 37.0)) % 2
+    dark = ink[1::FINE, 1::FINE] > 0
+    apart = np.where(dark, -distance_transform_edt(dark), distance_transform_edt(~dark))
+    return captured(true, 1.0 - 0.8 * ink, tail), true[1::FINE, 1::FINE], apart
+
+
+def captured(true: Floats, brightness: Floats, tail: float) -> Recording:
+    """Blurred and noisy frames of a surface, given at `FINE` places along each side of a pixel."""
+    side = len(true) // FINE
     random, frames = np.random.default_rng(side), []
     for k, step, _ in PLAN.steps():
         phase = 2 * np.pi * (PLAN.fringes[k].stripes * (true + 0.5) / 912 - step / 4)
-        light = ((1.0 - 0.8 * ink) * (0.5 + 0.45 * np.cos(phase))).astype(np.float32)
+        light = (brightness * (0.5 + 0.45 * np.cos(phase))).astype(np.float32)
         near, wide = (cv2.GaussianBlur(light, (0, 0), FINE * s) for s in (0.5, 4.5))
         seen = cv2.resize((1 - tail) * near + tail * wide, (side, side), interpolation=cv2.INTER_AREA)
         level = 6.0 + 200.0 * seen
         noisy = level + random.normal(0, 1, level.shape) * np.sqrt(0.3 + 0.03 * level)
         frames.append(np.rint(noisy).clip(0, 255).astype(np.uint8))
-    dark = ink[1::FINE, 1::FINE] > 0
-    apart = np.where(dark, -distance_transform_edt(dark), distance_transform_edt(~dark))
-    return Recording(frames, PLAN, PROJECTOR), true[1::FINE, 1::FINE], apart
+    return Recording(frames, PLAN, PROJECTOR)
 
 
 def towards_the_bright(error: Floats, apart: Floats, used: Mask) -> float:
@@ -81,3 +87,19 @@ def test_an_even_surface_is_left_alone() -> None:
         level = np.rint(100 + 80 * np.cos(phase)).astype(np.uint8)
         frames.append(np.ascontiguousarray(np.broadcast_to(level, (330, 330))))
     assert decode(Recording(frames, PLAN, PROJECTOR)).edges is None
+
+
+def test_facets_that_are_lit_unequally_tell_no_blur() -> None:
+    """Where both the slope of the coordinate and the light change, as on pyramids side by side."""
+    v, u = ((np.indices((FINE * 480,) * 2) + 0.5) / FINE - 0.5) / 60.0
+    heights = np.random.default_rng(5).uniform(0.1, 0.4, (8, 8))[
+        np.floor(v).astype(int), np.floor(u).astype(int)
+    ]
+    y, x = v % 1.0 - 0.5, u % 1.0 - 0.5
+    across = np.abs(x) >= np.abs(y)
+    slope_u, slope_v = -heights * np.sign(x) * across, -heights * np.sign(y) * ~across
+    true = 60.0 + 72.0 * u + 12.0 * v - 30.0 * heights * np.maximum(np.abs(x), np.abs(y))
+    shade = (0.8 - 0.5 * slope_u - 0.3 * slope_v) / np.sqrt(1.0 + slope_u**2 + slope_v**2)
+    edges = decode(captured(true, np.clip(shade / 1.3, 0.05, 1.0), tail=0.0)).edges
+    assert edges is not None
+    assert not edges.is_corrected
