@@ -90,9 +90,12 @@ def characterise(
     left_out: Mapping[str, str] | None = None,
     level: DistortionModel | Literal["auto"] = "auto",
     refine_board: bool | None = None,
+    validate: bool = True,
     limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> Characterisation:
     """Calibrate both devices and the pose between them, from what `observe` measured in each pose.
+
+    To validate, each pose is left out in turn; the uncertainty is by a formula alone without that.
 
     With `level="auto"` that is `DEFAULT_LEVEL`, and the errors of all levels in poses left out are given as
     well, of the others to first order. A coefficient that is held at zero would count as exact, so the
@@ -107,13 +110,13 @@ def characterise(
         chosen = DEFAULT_LEVEL if level == "auto" else level
         model = model_of(target, sizes, chosen, refine_board is not False, limits)
         return _characterise_fitted(
-            observations, target, model, lattice, dict(left_out or {}), level == "auto"
+            observations, target, model, lattice, dict(left_out or {}), level == "auto", validate
         )
 
 
 def _characterise_fitted(
     observations: Sequence[Observation], target: Target, model: Model, lattice: Lattice,
-    missing: dict[str, str], compares_levels: bool,
+    missing: dict[str, str], compares_levels: bool, validates: bool,
 ) -> Characterisation:  # fmt: skip
     chosen = model.level
     kept, fit, separate_px = settled(observations, target, model, missing)
@@ -127,7 +130,7 @@ def _characterise_fitted(
         solution, estimate_uncertainty(kept, solution, richest, sizes).sigma, model.limits
     )
     has_few_poses = compares_levels and len(kept) <= MIN_POSES
-    without = _without_each_pose(kept, fit, model)
+    without = _without_each_pose(kept, fit, model) if validates else []
     tried = {
         level: _fit_at_level(kept, fit, model, level, without)
         for level in _candidates(chosen, compares_levels and not has_few_poses)

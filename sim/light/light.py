@@ -47,6 +47,9 @@ from sim.world import World
 
 BATCH_PATTERNS, BATCH_BYTES = 40, 1 << 28
 """Patterns that are looked up at once, and the greatest size of their pictures."""
+TABLE_BYTES, CACHE_BYTES = 3 << 27, 1 << 27
+"""Size of the tables that are kept: of six poses at 1368 x 912, whose images a matching compares again and
+again. Derivatives and pictures are of use for a pose at a time."""
 START_S, PATHS_PER_S = 60.0, 5e4
 """Time limit of a render: a fixed part, and the light paths that any computer traces in a second."""
 
@@ -87,10 +90,10 @@ class Light:
         self._world, self._blender, self._analytic = world, blender, analytic
         self._cache = cache if cache or not world.render.cache else TableCache()
         self._projector = Mirrors(world.projector)
-        self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(1 << 30)
-        self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(1 << 30)
+        self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(TABLE_BYTES)
+        self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(CACHE_BYTES)
         self._displaced: tuple[str, LightTable] | None = None
-        self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache()
+        self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(CACHE_BYTES)
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(1 << 30)
         self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache()
         self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None

@@ -42,7 +42,7 @@ class Mirrors:
     def __init__(self, projector: ProjectorWorld) -> None:
         self._projector, self._factor = projector, mirror_light(projector)
         self._kept: ByteLimitedCache[PatternLevels] = ByteLimitedCache()
-        self._textures: ByteLimitedCache[PatternTextures] = ByteLimitedCache()
+        self._textures: ByteLimitedCache[PatternTextures] = ByteLimitedCache(1 << 27)
         self._loaded: tuple[tuple[Pattern, ...], MirrorStates] | None = None
         self._planes: tuple[Pattern, MirrorStates] | None = None
         self._basis: tuple[MirrorStates, Basis] | None = None

@@ -65,24 +65,22 @@ def evaluate(
     poses: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> TwinEvaluation:
-    """Compare the twin's expected images with the reference, pose by pose."""
+    """Compare the twin's expected images with the reference, pose by pose, all unless some are named."""
     # They have no noise: two realisations of it never agree, and noise is judged by its variance.
-    every = range(len(twin.parameters.poses))
-    chosen = set(every if poses is None else poses)
+    chosen: Sequence[int] = range(len(twin.parameters.poses)) if poses is None else sorted(poses)
     pairs: list[tuple[float, float]] = []
     observed: list[Future[Observation]] = []
     with ThreadPoolExecutor(1) as pool:  # observes a pose while the next one's frames are simulated
-        for pose in every:
-            if pose in chosen:
-                pairs += pose_similarity(reference, twin, pose)
-            if known_twin_rms_px is None:
+        for done, pose in enumerate(chosen, 1):
+            if known_twin_rms_px is None:  # first, since its light has what the images need
                 frames = twin.frames(pose, reference.patterns, reference.settings)
                 wait(observed)  # so that no more than two poses' frames are held
                 observed.append(pool.submit(_observe_board, reference, pose, frames))
-            progress((pose + 1) / len(every))
+            pairs += pose_similarity(reference, twin, pose)
+            progress(done / len(chosen))
     observations: list[Observation] = []
     left_out: dict[str, str] = {}
-    for pose, future in enumerate(observed):
+    for pose, future in zip(chosen, observed, strict=known_twin_rms_px is None):
         try:
             observations.append(future.result())
         except CalibrationError as error:
@@ -133,6 +131,7 @@ def _characterise_twin(
             left_out=left_out,
             level=bench.level,
             refine_board=bench.drawn is not None,
+            validate=False,  # what counts is its error and its calibration, not how sure they are
         )
     except CalibrationError as error:
         raise CalibrationError(f"the twin's own frames cannot be characterised: {error}") from error

@@ -26,7 +26,7 @@ from sim.matching.judging.discrepancy import discrepancy_of
 from sim.matching.judging.verdict import accepted_findings, diagnose_matching
 from sim.matching.light.gamma import GammaMatch, match_gamma, with_level_of_card
 from sim.matching.loss import Weights
-from sim.matching.match import EpochObserver, MatchedTwin, MatchingLimits, match_twin
+from sim.matching.match import LIMITS, EpochObserver, MatchedTwin, MatchingLimits, match_twin
 from sim.matching.parts import check_scans, fit_scans, match_surfaces
 from sim.matching.record import MatchingRecord
 from sim.matching.reference import Reference
@@ -293,9 +293,10 @@ def _fill_table(
         return first, AblationRow(True, False, after)
     own = begun.nominal.parameters
     without = twin.with_parameters(replace(matched.parameters, response=own.response, white=own.white))
+    compared = begun.reference.spread_poses(LIMITS.compared_poses)
     return (
         first,
         AblationRow(False, True, matched.epochs[0].loss),
-        AblationRow(True, False, evaluate(begun.reference, without, weights).loss.summary()),
+        AblationRow(True, False, evaluate(begun.reference, without, weights, poses=compared).loss.summary()),
         AblationRow(True, True, after),
     )

@@ -64,6 +64,18 @@ def test_the_error_in_unseen_poses_is_a_little_more_than_the_noise() -> None:
         assert fitted < held_out < 1.4 * fitted
 
 
+def test_without_validation_the_geometry_is_the_same() -> None:
+    seen = observed(poses(4), noise_px=0.02)
+    checked, quick = (
+        characterise(seen, BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.K3, validate=validate)
+        for validate in (True, False)
+    )
+    assert values(quick.calibration) == values(checked.calibration)
+    assert quick.calibration.rms_px == checked.calibration.rms_px
+    assert quick.leave_one_out_px is None
+    assert checked.leave_one_out_px is not None
+
+
 def test_three_poses_give_a_result_but_no_error_in_unseen_poses() -> None:
     found = characterise(observed(poses(3), noise_px=0.02), BOARD, CAMERA.size, SQUARE.size)
     assert found.leave_one_out_px is None
