@@ -29,7 +29,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud, load_cloud, load_mesh
 from fpplab.clouds.surfaces import STEEPEST_DEG
 from fpplab.comparison.alignment import Alignment, AlignmentMesh, align_mesh
-from fpplab.comparison.lengths import MeasuredLength, measure_lengths
+from fpplab.comparison.lengths import MeasuredLength, displacements_by, measure_lengths
 from fpplab.comparison.neighbours import nearest_neighbours
 from fpplab.comparison.scale import FittedScale, fit_scale
 from fpplab.comparison.surfaces import distance_to_surface
@@ -359,20 +359,24 @@ def compare(
         distances_mm=distances.astype(np.float32),
         counted=counted,
         scale=scale,
-        lengths=_lengths(points, alignment, artefact),
+        lengths=_lengths(points, alignment, artefact, calibration),
         out_of_view=visible.out_of_view,
         open_edges=count_unpaired_edges(mesh),
     )
 
 
 def _lengths(
-    points: Floats, alignment: Alignment | None, placed: PlacedArtefact | None
+    points: Floats,
+    alignment: Alignment | None,
+    placed: PlacedArtefact | None,
+    calibration: Calibration | None,
 ) -> tuple[MeasuredLength, ...]:
     """Measure the lengths of an artefact in points (N, 3) of the camera's frame, if both are known."""
     if alignment is None or placed is None:
         return ()
-    pose = (alignment.transform @ placed.pose).inverse()
-    return measure_lengths(pose.apply(points), pose.translation, placed.artefact.lengths())
+    at, lengths = alignment.transform @ placed.pose, placed.artefact.lengths()
+    pose = at.inverse()
+    return measure_lengths(pose.apply(points), pose.translation, lengths, displacements_by(calibration, at))
 
 
 def _check_winding(mesh: trimesh.Trimesh) -> None:

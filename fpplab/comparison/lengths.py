@@ -2,20 +2,25 @@
 
 Every feature is fitted by robust least squares (Huber) to the points on it, those well inside its outline.
 Standard uncertainties follow from the residuals by the sandwich estimator, with cells of a face as what
-varies independently, since errors of neighbouring points correlate. They say how well the cloud determines
-the length; what the calibration contributes shows in the deviation itself.
+varies independently, since errors of neighbouring points correlate. What an uncertain calibration adds is
+what its independent errors, each displacing all points at once, change of the fitted features.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from fpplab.artefacts import Corner, FeatureLength, FlatFace, SphereFace
+from fpplab.calibration.displacements import CoordinateNoise, displacements_by_mode
+from fpplab.calibration.model import Calibration
 from fpplab.comparison.scale import LIMITS as SCALE
 from fpplab.core.conventions import Floats, Mask
+from fpplab.core.geometry import RigidTransform
 from fpplab.core.robust import cell_numbers, clustered_covariance, huber_weights, robust_spread
 
 
@@ -33,6 +38,8 @@ class LengthLimits:
     fit_rounds: int = 20  # iterations of a robust fit (chosen)
     min_cap_cosine: float = 0.5
     """Cosine of the angle between a sphere's normal and the direction to the camera: 60 degrees. Chosen."""
+    moved_points: int = 500
+    """Points of a face by which effects of a calibration are found, which change slowly over it. Chosen."""
 
 
 LIMITS = LengthLimits()
@@ -46,6 +53,7 @@ class MeasuredLength:
     true_mm: float  # its true value in mm
     measured_mm: float | None  # its value in the cloud in mm; None where too little of a feature was measured
     sigma_um: float | None  # standard uncertainty of `measured_mm` in µm
+    sigma_calibration_um: float = 0.0  # what of it comes from the calibration's uncertainty
 
     @property
     def error_um(self) -> float | None:
@@ -83,32 +91,77 @@ class MeasuredLength:
         }
 
 
+Displacements = Callable[[Floats], Floats]
+"""Displacements (N, 3, m) of points (N, 3) by independent errors of a calibration, each of one sigma."""
+
+
+def no_displacements(points: Floats) -> Floats:
+    """Take the calibration as exact."""
+    # points (N, 3) mm; returns (N, 3, 0) mm
+    return np.zeros((*points.shape, 0))
+
+
+def displacements_by(
+    calibration: Calibration | None, at: RigidTransform, noise: CoordinateNoise = (1.0, 1.0)
+) -> Displacements:
+    """Take those of a calibration in the frame of an artefact that stands at a pose in the camera's.
+
+    Which axes were coded hardly matters: an axis along which depth does not show has little weight.
+    """
+    if calibration is None or calibration.uncertainty is None:
+        return no_displacements
+    to_artefact = at.inverse().rotation
+
+    def displacements(points: Floats) -> Floats:
+        return np.asarray(
+            np.einsum("ij,njm->nim", to_artefact, displacements_by_mode(at.apply(points), calibration, noise))
+        )
+
+    return displacements
+
+
 def measure_lengths(
-    points: Floats, camera: Floats, lengths: tuple[FeatureLength, ...]
+    points: Floats,
+    camera: Floats,
+    lengths: tuple[FeatureLength, ...],
+    displacements: Displacements = no_displacements,
 ) -> tuple[MeasuredLength, ...]:
     # points (N, 3) mm; camera (3,)
-    return tuple(_measure_length(points, camera, length) for length in lengths)
+    return tuple(_measure_length(points, camera, length, displacements) for length in lengths)
 
 
-def _measure_length(points: Floats, camera: Floats, length: FeatureLength) -> MeasuredLength:
+def _measure_length(
+    points: Floats, camera: Floats, length: FeatureLength, displacements: Displacements
+) -> MeasuredLength:
     first, second = length.first, length.second
     if isinstance(first, FlatFace) and isinstance(second, FlatFace):
-        estimate = _distance_of_planes(points, first, second)
+        estimate = _distance_of_planes(points, first, second, displacements)
     elif isinstance(first, SphereFace) and isinstance(second, SphereFace):
-        estimate = _distance_of_places([_fit_centre(points, camera, sphere) for sphere in (first, second)])
+        ends = [_fit_centre(points, camera, sphere, displacements) for sphere in (first, second)]
+        estimate = _distance_of_places(ends)
     elif isinstance(first, Corner) and isinstance(second, Corner):
-        estimate = _distance_of_corners(points, first, second)
+        estimate = _distance_of_corners(points, first, second, displacements)
     else:
         raise TypeError(f"{length.name}: its two features are of different kinds")
-    value, sigma = estimate or (None, None)
-    return MeasuredLength(length.name, length.true_mm, value, None if sigma is None else 1e3 * sigma)
+    if estimate is None:
+        return MeasuredLength(length.name, length.true_mm, None, None)
+    value, slopes, covariance, changes = estimate
+    by_calibration = float(np.linalg.norm(slopes @ changes))
+    sigma = float(np.hypot(np.sqrt(slopes @ covariance @ slopes), by_calibration))
+    return MeasuredLength(length.name, length.true_mm, value, 1e3 * sigma, 1e3 * by_calibration)
 
 
-Estimate = tuple[Floats, Floats]  # parameters (n,) and their covariance (n, n), in mm
+Estimate = tuple[Floats, Floats, Floats]
+"""Parameters (n,) in mm, their covariance (n, n), and changes (n, m) by the errors of the calibration."""
+
+Distance = tuple[float, Floats, Floats, Floats]
+"""In mm, with its derivatives (n,) by parameters, and the covariance and changes of these."""
 
 
-def _distance_of_planes(points: Floats, first: FlatFace, second: FlatFace) -> tuple[float, float] | None:
-    """Fit two planes with a common normal: their distance, and its standard uncertainty, in mm."""
+def _distance_of_planes(
+    points: Floats, first: FlatFace, second: FlatFace, displacements: Displacements
+) -> Distance | None:
+    """Fit two planes with a common normal."""
     on = [points[_on_face(points, face)] for face in (first, second)]
     if min(map(len, on)) < LIMITS.min_points:
         return None
@@ -126,21 +179,20 @@ def _distance_of_planes(points: Floats, first: FlatFace, second: FlatFace) -> tu
         return None
     (a, b, low, high), covariance = fit
     stretch = np.sqrt(1.0 + a * a + b * b)
-    by_offset = np.array([0.0, 0.0, -1.0, 1.0]) / stretch
-    return abs(high - low) / stretch, float(np.sqrt(by_offset @ covariance @ by_offset))
+    changes = _changes(rows, first.axes[2:], np.concatenate(on), displacements)
+    return abs(high - low) / stretch, np.array([0.0, 0.0, -1.0, 1.0]) / stretch, covariance, changes
 
 
-def _distance_of_corners(points: Floats, first: Corner, second: Corner) -> tuple[float, float] | None:
-    """Fit the planes of two corners, each face once: distance and its standard uncertainty, in mm."""
+def _distance_of_corners(
+    points: Floats, first: Corner, second: Corner, displacements: Displacements
+) -> Distance | None:
+    """Fit the planes of two corners, each face once."""
     faces = list(dict.fromkeys([*first.faces, *second.faces]))
-    fits = [_fit_plane(points, face) for face in faces]
+    fits = [_fit_plane(points, face, displacements) for face in faces]
     if any(fit is None for fit in fits):
         return None
     planes = [fit for fit in fits if fit is not None]
-    values = np.concatenate([parameters for parameters, _ in planes])
-    covariance = np.zeros((len(values), len(values)))
-    for k, (_, part) in enumerate(planes):
-        covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = part
+    values, covariance = np.concatenate([plane[0] for plane in planes]), block_diag(*(p[1] for p in planes))
 
     def distance(parameters: Floats) -> float:
         ends = [
@@ -153,7 +205,7 @@ def _distance_of_corners(points: Floats, first: Corner, second: Corner) -> tuple
     slopes = [
         (distance(values + step * e) - distance(values - step * e)) / (2 * step) for e in np.eye(len(values))
     ]
-    return distance(values), float(np.sqrt(slopes @ covariance @ np.array(slopes)))
+    return distance(values), np.array(slopes), covariance, np.concatenate([plane[2] for plane in planes])
 
 
 def _corner(planes: list[tuple[FlatFace, Floats]]) -> Floats:
@@ -170,16 +222,20 @@ def _corner(planes: list[tuple[FlatFace, Floats]]) -> Floats:
     return np.asarray(np.linalg.solve(normals, offsets))
 
 
-def _fit_plane(points: Floats, face: FlatFace) -> Estimate | None:
+def _fit_plane(points: Floats, face: FlatFace, displacements: Displacements) -> Estimate | None:
     """Fit the slopes along a face's two axes and the offset along its normal."""
-    along = (points[_on_face(points, face)] - face.origin) @ face.axes.T
+    on = points[_on_face(points, face)]
+    along = (on - face.origin) @ face.axes.T
     if len(along) < LIMITS.min_points:
         return None
     rows = np.column_stack([along[:, :2], np.ones(len(along))])
-    return _robust_fit(rows, along[:, 2], _cells(along))
+    fit = _robust_fit(rows, along[:, 2], _cells(along))
+    return None if fit is None else (*fit, _changes(rows, face.axes[2:], on, displacements))
 
 
-def _fit_centre(points: Floats, camera: Floats, sphere: SphereFace) -> Estimate | None:
+def _fit_centre(
+    points: Floats, camera: Floats, sphere: SphereFace, displacements: Displacements
+) -> Estimate | None:
     """Fit the centre of a sphere of free radius to its cap."""
     away = points - sphere.centre
     reach = np.linalg.norm(away, axis=1)
@@ -201,17 +257,26 @@ def _fit_centre(points: Floats, camera: Floats, sphere: SphereFace) -> Estimate 
         moved = moved + step
         if np.abs(step).max() < 1e-9:
             break
-    return sphere.centre + moved[:3], covariance[:3, :3]
+    changes = _changes(rows, rows[:, :3], sphere.centre + away, displacements)
+    return sphere.centre + moved[:3], covariance[:3, :3], changes[:3]
 
 
-def _distance_of_places(ends: list[Estimate | None]) -> tuple[float, float] | None:
+def _distance_of_places(ends: list[Estimate | None]) -> Distance | None:
     first, second = ends
     if first is None or second is None:
         return None
     between = second[0] - first[0]
     distance = float(np.linalg.norm(between))
-    along = between / distance
-    return distance, float(np.sqrt(along @ (first[1] + second[1]) @ along))
+    return distance, between / distance, first[1] + second[1], second[2] - first[2]
+
+
+def _changes(rows: Floats, directions: Floats, points: Floats, displacements: Displacements) -> Floats:
+    """Fit the displacements of points, along directions (N or 1, 3), as `_robust_fit` fits their values."""
+    few = slice(None, None, max(1, len(points) // LIMITS.moved_points))
+    moved = np.einsum(
+        "ni,nim->nm", np.broadcast_to(directions, points.shape)[few], displacements(points[few])
+    )
+    return np.asarray(np.linalg.lstsq(rows[few], moved, rcond=None)[0])
 
 
 def _on_face(points: Floats, face: FlatFace) -> Mask:
@@ -232,7 +297,7 @@ def _cells(points: Floats) -> NDArray[np.int64]:
     return cell_numbers(points[:, :2], side)
 
 
-def _robust_fit(rows: Floats, values: Floats, cell: NDArray[np.int64]) -> Estimate | None:
+def _robust_fit(rows: Floats, values: Floats, cell: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
     """Fit `rows @ x = values` with Huber's weights; None if the cells are too few for a covariance."""
     if cell.max() + 1 <= rows.shape[1] + 1:
         return None

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fpplab.calibration.displacements import CoordinateNoise, calibration_jacobian, displacements_by_mode
 from fpplab.calibration.error_modes import covariance_root
 from fpplab.calibration.marks import LocatedMarks
 from fpplab.calibration.model import Calibration
@@ -28,8 +29,6 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.hidden_changes import sampled_points
-from fpplab.reconstruction.triangulation import CoordinateNoise
-from fpplab.reconstruction.uncertainty import calibration_jacobian, displacements_by_mode
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 

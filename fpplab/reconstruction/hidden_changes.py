@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpplab.calibration.changes import changed_rigs, parameter_vector
+from fpplab.calibration.displacements import CoordinateNoise, calibration_jacobian, projection_derivatives
 from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
-from fpplab.reconstruction.triangulation import CoordinateNoise
-from fpplab.reconstruction.uncertainty import calibration_jacobian, projection_derivatives
 
 
 @dataclass(frozen=True)

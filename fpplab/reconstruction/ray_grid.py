@@ -7,18 +7,17 @@ a cloud of millions of points it is computed at some thousand nodes instead.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from fpplab.calibration.displacements import AnyPoints
 from fpplab.core.conventions import Floats
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 
 NODES = (25, 19, 13)  # along x/z, y/z and z
 
-AnyPoints = NDArray[np.floating[Any]]
 Singles = NDArray[np.float32]
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from fpplab.calibration.displacements import CoordinateNoise
 from fpplab.calibration.model import Calibration
 from fpplab.clouds.selection import select_rows
 from fpplab.core import buffers
@@ -57,9 +58,6 @@ class DecodedMaps(Protocol):
     def sigma_phase_error(self) -> Map | None:
         """As `sigma`, by errors that are common to all pixels of one phase; None where not known."""
 
-
-CoordinateNoise = tuple[float, float]
-"""Standard deviations of the projector's u and v, relative to one another; infinite for an axis not coded."""
 
 _UNKNOWN = np.empty((0, 0), np.float32)
 

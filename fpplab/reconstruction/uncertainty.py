@@ -1,14 +1,5 @@
 """Uncertainty of each point of a cloud: the fringes' noise and the calibration's covariance, propagated.
 
-A point X lies on the ray of its camera pixel m, where its image in the projector meets the coordinates c
-(`fpplab.reconstruction.triangulation`). With the devices' projections m(X, θ) and p(X, θ), the parameters
-θ, the slope j = ∂p/∂X · X along the ray and the coordinates' inverse variances W this is
-
-    m(X, θ) = m,    jᵀ W (p(X, θ) - c) = 0,
-
-and by the implicit function theorem `∂X/∂θ = -A⁻¹ B`, with A and B the derivatives of the three equations by
-X and by θ. The change of j itself is proportional to the distance from the epipolar curve, and is neglected.
-
 Noise is independent from point to point and lies along the ray. So do the errors that all points of one phase
 have in common (response, lamp, rounding), which averaging over points does not lessen. A calibration error is
 common to all points: it moves and rotates the cloud far more than it deforms it. What remains after the best
@@ -25,22 +16,18 @@ cloud's median.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import cv2
 import numpy as np
 
-from fpplab.calibration.error_modes import error_modes
-from fpplab.calibration.model import INTRINSICS, PARAMETERS, Calibration
+from fpplab.calibration.displacements import AnyPoints, CoordinateNoise, ErrorModes
+from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core import buffers
 from fpplab.core.conventions import Floats
-from fpplab.core.errors import CalibrationError
-from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.progress import Progress, no_progress
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
-from fpplab.reconstruction.ray_grid import AnyPoints, RayGrid, are_positive
-from fpplab.reconstruction.triangulation import CoordinateNoise
+from fpplab.reconstruction.ray_grid import RayGrid, are_positive
 
 
 def with_uncertainty(
@@ -49,7 +36,7 @@ def with_uncertainty(
     """Add the calibration's contribution to each point's uncertainty."""
     if calibration.uncertainty is None:
         return cloud
-    modes = _Modes.of(calibration, noise)
+    modes = ErrorModes.of(calibration, noise)
     sample = cloud.points[:: max(1, len(cloud) // LIMITS.rigid_sample_points)].astype(np.float64)
     centre = sample.mean(axis=0)
     motion = _rigid_part(modes, sample, centre)
@@ -89,7 +76,7 @@ def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNo
     """Compute the covariance of each point's coordinates from noise, phase error and calibration."""
     # How points vary together follows from `calibration_jacobian`.
     # returns (N, 3, 3) mm²
-    modes, covariance = _Modes.of(calibration, noise), np.empty((len(cloud), 3, 3))
+    modes, covariance = ErrorModes.of(calibration, noise), np.empty((len(cloud), 3, 3))
     for part in _blocks(len(cloud)):
         moved = modes.moved(cloud.points[part])
         covariance[part] = moved @ moved.transpose(0, 2, 1)
@@ -100,74 +87,7 @@ def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNo
     return covariance
 
 
-def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: CoordinateNoise) -> Floats:
-    """Compute the derivatives of points by the calibration's parameters."""
-    # Camera pixels and projector coordinates are held.
-    # points (N, 3) mm; returns (N, 3, n)
-    pose, n = calibration.T_projector_camera, len(INTRINSICS)
-    observed, by_camera = projection_derivatives(points, calibration.camera, RigidTransform.identity())
-    projected, by_projector = projection_derivatives(points, calibration.projector, pose)
-    seen_by_point, projected_by_point = observed[..., 3:], projected[..., 3:] @ pose.rotation
-    weights = np.einsum("nij,nj->ni", projected_by_point, points) / np.square(noise)
-    depth_by_point = np.einsum("ni,nij->nj", weights, projected_by_point)
-    slopes = np.zeros((len(points), 3, len(PARAMETERS)))
-    slopes[:, :2, :n] = by_camera
-    slopes[:, 2, n : 2 * n] = np.einsum("ni,nij->nj", weights, by_projector)
-    slopes[:, 2, 2 * n :] = np.einsum("ni,nij->nj", weights, projected)
-    return -_invert_3x3(seen_by_point[:, 0], seen_by_point[:, 1], depth_by_point) @ slopes
-
-
-def displacements_by_mode(points: AnyPoints, calibration: Calibration, noise: CoordinateNoise) -> Floats:
-    """Compute how the independent modes of calibration error displace points."""
-    # Any error of the calibration is a sum of the modes, each times a number drawn from the standard normal
-    # distribution.
-    # points (N, 3) mm; returns (N, 3, n) mm
-    return _Modes.of(calibration, noise).moved(points)
-
-
-def projection_derivatives(points: AnyPoints, device: Pinhole, pose: RigidTransform) -> tuple[Floats, Floats]:
-    """Differentiate the projected pixels by `POSE`, (N, 2, 6), and by `INTRINSICS`, (N, 2, n)."""
-    local = np.ascontiguousarray(points, np.float64)
-    turn, shift = pose.rotation_vector, pose.translation
-    _, slopes = cv2.projectPoints(local, turn, shift, device.matrix, device.distortion)
-    shaped = np.asarray(slopes, np.float64).reshape(len(points), 2, -1)
-    return shaped[..., :6], shaped[..., 6:]
-
-
-def _invert_3x3(first: Floats, second: Floats, third: Floats) -> Floats:
-    """Invert matrices with these rows, (N, 3) each, to (N, 3, 3); in a fraction of LAPACK's time."""
-    columns = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=-1)
-    return np.asarray(columns / np.einsum("ni,ni->n", third, columns[..., 2])[:, None, None])
-
-
-@dataclass(frozen=True, eq=False)
-class _Modes:
-    """Independent modes of calibration error, each with the size of one standard deviation."""
-
-    calibration: Calibration
-    noise: CoordinateNoise
-    changes: Floats  # (all, n) of `PARAMETERS` by each of n modes; the covariance is `changes changesᵀ`
-
-    @classmethod
-    def of(cls, calibration: Calibration, noise: CoordinateNoise) -> _Modes:
-        uncertainty = calibration.uncertainty
-        if uncertainty is None:
-            raise CalibrationError(
-                "the calibration has no covariance; characterise the rig with `fpplab characterise` to get it"
-            )
-        changes = np.zeros((len(PARAMETERS), len(uncertainty.names)))
-        changes[[PARAMETERS.index(name) for name in uncertainty.names]] = error_modes(uncertainty)
-        return cls(calibration, noise, changes)
-
-    def moved(self, points: AnyPoints) -> Floats:
-        """Return the displacement of points (N, 3) by each mode: (N, 3, n) in mm."""
-        jacobian = calibration_jacobian(points, self.calibration, self.noise)
-        # As one matrix: NumPy multiplies a stack of small ones several times as slowly.
-        flat = jacobian.reshape(-1, len(self.changes)) @ self.changes
-        return np.asarray(flat.reshape(len(points), 3, -1))
-
-
-def _rigid_part(modes: _Modes, sample: Floats, centre: Floats) -> Floats:
+def _rigid_part(modes: ErrorModes, sample: Floats, centre: Floats) -> Floats:
     """Fit a rigid motion of a sample of the cloud, (6, n) for `rigid_motions`, to each mode."""
     normal, right = np.zeros((6, 6)), np.zeros((6, modes.changes.shape[1]))
     for part in _blocks(len(sample)):

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fpplab.calibration.displacements import CoordinateNoise, displacements_by_mode
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison.alignment import AlignmentMesh
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
-from fpplab.reconstruction.triangulation import CoordinateNoise
-from fpplab.reconstruction.uncertainty import displacements_by_mode, rigid_motions
+from fpplab.reconstruction.uncertainty import rigid_motions
 from sim.prediction.figures import SeenShape
 
 DRAWS = 500  # of calibrations (chosen: ends of an interval of 95 % vary by a few per cent)

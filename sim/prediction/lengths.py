@@ -8,17 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpplab.artefacts.recognition import recognise
+from fpplab.calibration.displacements import CoordinateNoise
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.comparison.lengths import measure_lengths
-from fpplab.core.conventions import Floats
-from fpplab.reconstruction.triangulation import CoordinateNoise
-from fpplab.reconstruction.uncertainty import displacements_by_mode
+from fpplab.comparison.lengths import MeasuredLength, displacements_by, measure_lengths
 from sim.prediction.discrepancy import COVERAGE
 from sim.prediction.figures import SeenShape
 from sim.prediction.intervals import FigureInterval, of_one_measurement
-
-MOVED_POINTS = 10_000  # by which effects of a calibration are found, which change slowly over a face (chosen)
 
 
 @dataclass(frozen=True)
@@ -41,19 +37,16 @@ def predicted_lengths(
     if placed is None:
         return ()
     pose, lengths = placed.pose.inverse(), placed.artefact.lengths()
+    displacements = displacements_by(calibration, placed.pose, noise)
 
-    def measured(points: Floats) -> Floats:
-        found = measure_lengths(pose.apply(points), pose.translation, lengths)
-        return np.array([np.nan if one.measured_mm is None else one.measured_mm for one in found])
+    def measured(cloud: Cloud) -> tuple[MeasuredLength, ...]:
+        points = pose.apply(cloud.points[shape.on_it(cloud)].astype(np.float64))
+        return measure_lengths(points, pose.translation, lengths, displacements)
 
-    on_it = [cloud.points[shape.on_it(cloud)].astype(np.float64) for cloud in clouds]
-    draws = np.array([measured(points) for points in on_it])
+    found = [measured(cloud) for cloud in clouds]
+    draws = np.array([[np.nan if m.measured_mm is None else m.measured_mm for m in one] for one in found])
     variances = np.array([of_one_measurement(drawn) ** 2 for drawn in draws.T]) + off_mm**2
-    if calibration.uncertainty is not None:
-        few = on_it[0][:: max(1, len(on_it[0]) // MOVED_POINTS)]
-        unmoved = measured(few)
-        for mode in np.moveaxis(displacements_by_mode(few, calibration, noise), -1, 0):
-            variances += (measured(few + mode) - unmoved) ** 2
+    variances += [(1e-3 * m.sigma_calibration_um) ** 2 for m in found[0]]
     middle, reach = np.median(draws, axis=0), COVERAGE * np.sqrt(variances)
     return tuple(
         PredictedLength(length.name, length.true_mm, FigureInterval(at, at - off, at + off))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fpplab.calibration.changes import changed_rigs, parameter_vector
+from fpplab.calibration.displacements import calibration_jacobian, displacements_by_mode
 from fpplab.calibration.marks import LocatedMarks
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import DistortionModel, Observation, characterise
@@ -17,7 +18,6 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 from fpplab.pipeline.marks import widened_by_marks
-from fpplab.reconstruction.uncertainty import calibration_jacobian, displacements_by_mode
 from fpplab.targets import Target
 from tests.characterisation.test_judging import NOISE_PX, seen
 from tests.support.rigs import BOARD, CAMERA, PAIR, SQUARE

@@ -13,11 +13,12 @@ from typer.testing import CliRunner
 
 from fpplab import artefacts
 from fpplab.artefacts.recognition import PlacedArtefact, recognise
+from fpplab.calibration.model import PARAMETERS, Uncertainty
 from fpplab.cli import app
 from fpplab.clouds import Cloud, load_mesh, save_cloud
 from fpplab.comparison import compare
 from fpplab.comparison.alignment import AlignmentMesh
-from fpplab.comparison.lengths import measure_lengths
+from fpplab.comparison.lengths import displacements_by, measure_lengths
 from fpplab.comparison.scale import LIMITS, fit_scale
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
@@ -162,6 +163,23 @@ def test_shear_shows_in_the_diagonals_of_the_pyramid() -> None:
         assert error == pytest.approx(expected, abs=4 * (sigma or 0.0) + 0.1)
         assert sigma is not None
         assert sigma < 10
+
+
+def test_a_board_of_uncertain_size_makes_lengths_uncertain() -> None:
+    """An error of the board's size by a share lengthens the baseline and every length by as much."""
+    lengths, baseline = (
+        artefacts.artefact_types()["steps"]().lengths(),
+        CALIBRATION.T_projector_camera.translation,
+    )
+    uncertainty = Uncertainty(PARAMETERS[-3:], np.outer(baseline, baseline) * 1e-3**2 + 1e-18 * np.eye(3))
+    points, camera = in_artefact(perfect_cloud(placed("steps")).points.astype(np.float64))
+    sized = displacements_by(
+        replace(CALIBRATION, uncertainty=uncertainty),
+        RigidTransform(BEFORE_CAMERA[:3, :3], BEFORE_CAMERA[:3, 3]),
+    )
+    for one in measure_lengths(points, camera, lengths, sized):
+        assert one.sigma_calibration_um == pytest.approx(one.true_mm, rel=0.01)
+        assert (one.sigma_um or 0.0) >= one.sigma_calibration_um
 
 
 def test_lengths_that_are_not_measured_are_told() -> None:

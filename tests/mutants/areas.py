@@ -16,6 +16,7 @@ AREAS = {
     "characterisation": ("fpplab/characterisation/*.py",),
     "uncertainty": (
         "fpplab/reconstruction/uncertainty.py",
+        "fpplab/calibration/displacements.py",
         *(f"fpplab/phase/{name}.py" for name in ("bounds", "common_errors", "error_model", "noise")),
         "fpplab/phase/precision.py",
     ),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
+from fpplab.calibration.displacements import calibration_jacobian
 from fpplab.calibration.model import INTRINSICS, PARAMETERS, Calibration, Uncertainty
 from fpplab.characterisation import characterise
 from fpplab.characterisation.parameters import DEFAULT_SCALE_TOLERANCE, DistortionModel, vectors_of
@@ -26,7 +27,6 @@ from fpplab.reconstruction.points import triangulate
 from fpplab.reconstruction.ray_grid import RayGrid
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.reconstruction.uncertainty import (
-    calibration_jacobian,
     point_covariance,
     with_uncertainty,
 )
