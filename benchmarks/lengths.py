@@ -50,7 +50,7 @@ def errors_over_stated(rig: Rigged, known: Calibration) -> list[float]:
     for name in artefacts.NAMES:
         mesh = artefacts.make(name)
         mesh.apply_transform(item_poses(demo_world(0), name)[0].matrix)
-        decoded = scanned(rig, RayTracedShape(mesh))
+        decoded = decoded_scan(rig, RayTracedShape(mesh))
         # Without pixels: these few have no neighbours that would make a surface.
         cloud = Cloud(triangulate(decoded, known, normals=False).points)
         compared = compare(cloud, mesh, known, density=2.0, align=True, artefact=recognise(mesh))
@@ -58,7 +58,7 @@ def errors_over_stated(rig: Rigged, known: Calibration) -> list[float]:
     return found
 
 
-def scanned(rig: Rigged, shape: RayTracedShape) -> Decoded:
+def decoded_scan(rig: Rigged, shape: RayTracedShape) -> Decoded:
     """See a part along both axes, with noise."""
     camera, projector, pair = rig.truth.camera, rig.truth.projector, rig.truth.T_projector_camera
     width, height = camera.size

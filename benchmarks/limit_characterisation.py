@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks import Result, above, below
+from fpplab.calibration.displacements import calibration_jacobian
+from fpplab.calibration.error_modes import covariance_root
 from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.characterisation import Characterisation, Observation, characterise
 from fpplab.characterisation.bundle import adjust_bundle
@@ -19,7 +21,6 @@ from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, Mode
 from fpplab.cli import console
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
-from fpplab.reconstruction.uncertainty import calibration_jacobian
 from fpplab.targets import Target
 
 SIZE, PROJECTOR = (1200, 900), (1824, 1140)
@@ -217,11 +218,17 @@ def intervals(setting: Case, seed: int) -> dict[str, bool]:
     points = cloud_of(seen.truth)
     slopes = calibration_jacobian(points, _calibration(seen.truth), (1.0, 1.0)).reshape(-1, len(PARAMETERS))
     for name, projection in zip(("place", "form"), rigid_and_form(points), strict=True):
-        moved = projection @ slopes
-        sizes = np.linalg.eigvalsh(moved @ covariance @ moved.T)
-        chances = np.random.default_rng(0).chisquare(1, (20_000, 30)) @ np.maximum(sizes[-30:], 0)
-        inside[name] = bool(np.sum((moved @ error) ** 2) < np.quantile(chances, LEVEL))
+        inside[name] = is_displacement_covered(projection @ slopes, covariance, error)
     return inside
+
+
+def is_displacement_covered(moved: Floats, covariance: Floats, error: Floats) -> bool:
+    """Tell whether the interval of the sum of squares of what errors displace contains the actual one."""
+    # moved (m, n); covariance (n, n); error (n,)
+    root = covariance_root(covariance)
+    sizes = np.linalg.eigvalsh(root.T @ moved.T @ moved @ root)
+    chances = np.random.default_rng(0).chisquare(1, (20_000, len(sizes))) @ np.maximum(sizes, 0)
+    return bool(np.sum((moved @ error) ** 2) < np.quantile(chances, LEVEL))
 
 
 def share_covered(setting: Case, seeds: Sequence[int]) -> dict[str, float]:

@@ -7,10 +7,12 @@ of the data differs from the estimate from all by the difference of their covari
 
 Every refit starts from the whole fit, and estimates the sizes of the errors anew. The jackknife knows nothing
 of the errors' model, but with n poses it has n - 1 degrees of freedom for two dozen parameters, so that by
-chance alone it exceeds the covariance many times in some directions. Of modes in which the covariance is one,
-the eigenvalues then follow the distribution of Marchenko and Pastur. What exceeds the edge of that
-distribution is added to the covariance, less the part of it that is chance (D. Donoho, M. Gavish and
+chance alone it exceeds what is expected many times in some directions. Of modes in which that is one, the
+eigenvalues follow the distribution of Marchenko and Pastur. What exceeds the edge of that distribution is
+added to the covariance, as a share of it, less the part that is chance (D. Donoho, M. Gavish and
 I. Johnstone, "Optimal shrinkage of eigenvalues in the spiked covariance model", 2018, Frobenius norm).
+A pose that alone determines something changes it by more than the uncertainty of all: with many poses that is
+expected; few may each hide errors outside the model, and are compared with the covariance itself.
 
 Besides focal lengths and baseline, the points that the devices measure are compared: by how much they are
 moved in space (place), and by how much their form changes, all rigid motion removed.
@@ -35,6 +37,9 @@ from fpplab.characterisation.problem import without_poses
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
+
+MANY_POSES = 8
+"""Poses of which each half determines a fit by itself. Derived: it has four or more."""
 
 _Fit = tuple[Sequence[Observation], Solution, Model, ErrorSizes]
 
@@ -104,7 +109,8 @@ def compare_with_fewer_poses(
     share = (count - 1) / count
     around = np.array(changes) - np.mean(changes, axis=0)
     changed, predicted = share * around.T @ around, share * np.sum(spreads, axis=0)
-    stated = covariance + beyond_chance(covariance, changed, count - 1)
+    expected = predicted if count >= MANY_POSES else covariance
+    stated = covariance + beyond_chance(covariance, changed, count - 1, expected)
     jackknife = tuple(
         _judge_repeated_fits(quantity, (covariance, stated), changed, predicted, count - 1)
         for quantity in quantities
@@ -113,14 +119,19 @@ def compare_with_fewer_poses(
     return Validation(stated, jackknife, halves, model.limits.max_chance)
 
 
-def beyond_chance(covariance: Floats, repeated: Floats, freedom: int) -> Floats:
-    """Compute by how much a covariance estimated from few repeats exceeds another beyond chance."""
-    # covariance (n, n); repeated (n, n), with so many degrees of freedom; returns (n, n)
+def beyond_chance(covariance: Floats, repeated: Floats, freedom: int, expected: Floats) -> Floats:
+    """Compute what a covariance lacks where few repeats exceed beyond chance what it lets expect of them."""
+    # covariance (n, n); repeated (n, n), with so many degrees of freedom; expected (n, n), at least the
+    # covariance; returns (n, n)
     modes, inverse = independent_modes(covariance)
-    values, directions = np.linalg.eigh(inverse @ repeated @ inverse.T)
+    sizes, turned = np.linalg.eigh(inverse @ expected @ inverse.T)
+    scaled = turned * np.sqrt(np.maximum(sizes, 1.0))
+    whitening = np.linalg.inv(scaled) @ inverse
+    values, directions = np.linalg.eigh(whitening @ repeated @ whitening.T)
     aspect = len(values) / freedom
     clear = values > (1.0 + np.sqrt(aspect)) ** 2
-    seen, along = values[clear], modes @ directions[:, clear]
+    seen, along = values[clear], scaled @ directions[:, clear]
+    along = modes @ (along / np.linalg.norm(along, axis=0))
     centred = seen + 1.0 - aspect
     true = 0.5 * (centred + np.sqrt(centred**2 - 4.0 * seen)) - 1.0
     cosine = (1.0 - aspect / true**2) / (1.0 + aspect / true)
@@ -162,7 +173,7 @@ def _repeat_with_halves(
     whole: _Fit, quantities: Sequence[_Quantity], both: tuple[Floats, Floats]
 ) -> tuple[Repeat, ...]:
     observations, best, model, sizes = whole
-    if len(observations) < 8:  # each half determines its own fit by four poses or more
+    if len(observations) < MANY_POSES:
         return ()
     devices, spread = [], []
     for first in (0, 1):

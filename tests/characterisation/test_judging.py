@@ -173,11 +173,13 @@ def test_only_what_is_beyond_chance_widens_a_covariance() -> None:
     for sigma, found in added.items():
         for _ in range(20):
             seen = random.normal(size=(11, size)) @ root.T + sigma * random.normal(size=(11, 1)) * odd
-            found.append(beyond_chance(covariance, seen.T @ seen / 11, 11))
+            found.append(beyond_chance(covariance, seen.T @ seen / 11, 11, covariance))
     assert np.mean([np.trace(np.linalg.solve(covariance, one)) for one in added[0.0]]) < 1.0
     along = np.linalg.solve(root, np.mean(added[10.0], axis=0)) @ np.linalg.inv(root).T
     assert 0.6 * sigma**2 < along[0, 0] < 1.3 * sigma**2
     assert np.abs(along[1:, 1:]).max() < 0.1 * along[0, 0]
+    expected = covariance + sigma**2 * np.outer(odd, odd)  # as of a pose that alone determines a direction
+    assert np.abs(beyond_chance(covariance, seen.T @ seen / 11, 11, expected)).max() == 0.0
 
 
 def test_the_projected_uncertainty_of_a_focal_length_grows_from_the_centre() -> None:
