@@ -41,7 +41,17 @@ SHARED = ("hidden", "limit_decoding", "limit_lattice", "limit_noise", "optimise_
 """Modules of this package that are no benchmarks of their own."""
 
 
-LONG = ("crash", "explanations", "image_faults", "optimise", "outside", "predict", "predict_plans", "stale")
+LONG = (
+    "crash",
+    "explanations",
+    "image_faults",
+    "optimise",
+    "outside",
+    "predict",
+    "predict_plans",
+    "real_captures",
+    "stale",
+)
 """Benchmarks that take from twenty minutes to hours: they are run only if they are named."""
 
 
