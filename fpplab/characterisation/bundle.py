@@ -133,16 +133,25 @@ def estimate_uncertainty(
     """Estimate the uncertainty of the devices and of the pose between them."""
     # The covariance is marginal: it contains the uncertainty of the poses, of the errors that the points of
     # one pose share, of the board's shape and of its scale.
-    problem = Problem(tuple(observations), model, sizes, best)
-    shared = slice(problem.vector_offsets[2])
-    inverse, effects = _effects(problem, best)
-    passed = (
-        effects.passed[shared] * np.array([sizes.camera_shared_px, sizes.projector_shared_px])[effects.device]
-    )
-    covariance = inverse[shared, shared] + passed @ passed.T
     longer = scale_error(best, model)
-    covariance = covariance + np.outer(longer, longer)
+    shared = slice(len(longer))
+    joint = covariance_with_poses(observations, best, model, sizes)
+    covariance = joint[shared, shared] + np.outer(longer, longer)
     return Uncertainty(parameter_names(model.level), 0.5 * (covariance + covariance.T))
+
+
+def covariance_with_poses(
+    observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes
+) -> Floats:
+    """Covariance (n + 6 P, n + 6 P) of devices and poses together, the board's scale taken as known."""
+    problem = Problem(tuple(observations), model, sizes, best)
+    _, _, carried, poses, board = problem.vector_offsets
+    inverse, effects = _effects(problem, best)
+    at = np.append(np.arange(carried), np.arange(poses, board))
+    passed = (
+        effects.passed[at] * np.array([sizes.camera_shared_px, sizes.projector_shared_px])[effects.device]
+    )
+    return np.asarray(inverse[np.ix_(at, at)] + passed @ passed.T)
 
 
 def scale_error(best: Solution, model: Model) -> Floats:

@@ -9,8 +9,8 @@ import pytest
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import DistortionModel, Observation, characterise
-from fpplab.characterisation.bundle import adjust_bundle, estimate_uncertainty
-from fpplab.characterisation.parameters import ErrorSizes, Model
+from fpplab.characterisation.bundle import adjust_bundle, covariance_with_poses, estimate_uncertainty
+from fpplab.characterisation.parameters import ErrorSizes, Model, vectors_of
 from fpplab.characterisation.problem import Problem
 from fpplab.core.geometry import Pinhole
 from tests.support.rigs import BOARD, CAMERA, DIAMOND, PAIR, SQUARE, observed, poses, truth_of, values
@@ -62,6 +62,25 @@ def test_the_error_in_unseen_poses_is_a_little_more_than_the_noise() -> None:
     for device in ("camera", "projector"):
         held_out, fitted = found.leave_one_out_px[device], found.calibration.rms_px[device]
         assert fitted < held_out < 1.4 * fitted
+
+
+@pytest.mark.whole_after(1)
+@pytest.mark.parametrize("seed", range(2))
+def test_poses_are_as_uncertain_as_their_covariance_says(seed: int) -> None:
+    truth = poses(8)
+    found = characterise(
+        observed(truth, noise_px=0.05, seed=seed), BOARD, CAMERA.size, SQUARE.size,
+        level=DistortionModel.TANGENTIAL, validate=False,
+    )  # fmt: skip
+    assert found.solution is not None
+    assert found.model is not None
+    assert found.sizes is not None
+    joint = covariance_with_poses(found.observations, found.solution, found.model, found.sizes)
+    off = found.solution.poses - np.array([vectors_of(pose) for pose in truth])
+    error, of_poses = off.ravel(), joint[-off.size :, -off.size :]
+    assert 0.6 < error @ np.linalg.solve(of_poses, error) / off.size < 1.6
+    own = error / np.sqrt(np.diag(of_poses))
+    assert 0.3 < np.sqrt(np.mean(own**2)) < 1.8
 
 
 def test_without_validation_the_geometry_is_the_same() -> None:

@@ -14,20 +14,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation
-from fpplab.characterisation.bundle import adjust_bundle
+from fpplab.characterisation.bundle import adjust_bundle, covariance_with_poses
 from fpplab.characterisation.parameters import DistortionModel, Model, Solution, vectors_of
 from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.core.robust import multiway_covariance
 from sim.matching.geometry.board_shape import change_by_bend
 from sim.matching.geometry.surface_points import slopes_by_move, surface_and_projector_jacobian
 from sim.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
@@ -111,26 +114,25 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
     shared = 2 * free + 6
     per_pose = 6 + NUISANCE_PARAMETERS
     size = shared + per_pose * len(start.poses)
-    normal, gradient, scatter = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
+    normal, gradient = np.zeros((size, size)), np.zeros(size)
+    scores = np.zeros((len(start.poses), TILES**2, size))
     for pose in range(len(start.poses)):
         residuals = _residual_of_pose(reference, twin, pose)
         columns = np.append(np.arange(shared), shared + per_pose * pose + np.arange(per_pose))
         displacement, tiles = slice(shared + 3, shared + 6), _tile_members(residuals.pixels)
-        by_tile = np.zeros((TILES**2, len(columns)))
         for image, jacobian in enumerate(residuals.jacobian(start, free)):
             own, residual = _remove_vibration(reference, twin, residuals, image, jacobian[:, shared + 3 :])
-            block, right_side, scores = _normal_equations(
+            block, right_side, by_tile = _normal_equations(
                 jacobian, residual, displacement, own, start.displacement_mm, tiles
             )
             normal[np.ix_(columns, columns)] += block
             gradient[columns] += right_side
-            by_tile += scores
-        scatter[np.ix_(columns, columns)] += by_tile.T @ by_tile
+            scores[pose][:, columns] += by_tile
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0] = 1.0
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
     step, covariance = _weighed_with_points(
-        inverse @ gradient, inverse @ scatter @ inverse, reference.characterisation, start
+        inverse @ gradient, covariance_by_tiles(inverse, scores), reference.characterisation, start
     )
     variance = np.diag(covariance)
     of_places = variance[shared:].reshape(-1, per_pose)[:, 3:6].sum(axis=1)
@@ -138,20 +140,54 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
     return replace(_parameters_after_step(start, step, free, shared, per_pose), sigma=sigma)
 
 
+def covariance_by_tiles(inverse: Floats, scores: Floats) -> Floats:
+    """Covariance (C, C) of a fit whose residuals depend on each other within a tile of the board."""
+    # Scores (P, TILES², C) of one tile depend on each other within a pose, and over all poses, where grain,
+    # gloss and bend of the board are in the same place: these move what poses share.
+    poses, tiles, parameters = scores.shape
+    places = np.tile(np.arange(tiles), poses)
+    groupings = [np.arange(len(places)), places]
+    return multiway_covariance(inverse, scores.reshape(-1, parameters), groupings)
+
+
 def _weighed_with_points(
     step: Floats, covariance: Floats, points: Characterisation, start: TwinParameters
 ) -> tuple[Floats, Floats]:
     """Weigh a step by images (n,) with the geometry by points; the step, and its covariance (n, n)."""
-    uncertainty = points.calibration.uncertainty
-    if uncertainty is None:
+    if points.calibration.uncertainty is None:
         return step, covariance
     free = len(points.level.terms)
     known, now = (_shared(one, free) for one in (points.calibration, start.calibration))
     to_step, turn = np.eye(len(known)), slice(len(known) - 6, len(known) - 3)
     to_step[turn, turn] = left_jacobian(now[turn])  # a step turns the pose about the axes of the frame
+    moves = [to_step @ (known - now)]
+    for pose, before in zip(points.poses, start.poses, strict=True):
+        moves.append((pose @ before.inverse()).rotation_vector)
+        moves.append(pose.translation - before.translation)
+        to_step = block_diag(to_step, left_jacobian(pose.rotation_vector), np.eye(3))
+    per_pose = (len(step) - len(known)) // len(points.poses)
+    places = len(known) + per_pose * np.arange(len(points.poses))[:, None] + np.arange(6)
     return weigh_estimates(
-        step, covariance, to_step @ (known - now), to_step @ uncertainty.covariance @ to_step.T
+        step,
+        covariance,
+        np.concatenate(moves),
+        to_step @ _covariance_of_points(points) @ to_step.T,
+        np.append(np.arange(len(known)), places),
     )
+
+
+def _covariance_of_points(points: Characterisation) -> Floats:
+    """Covariance of devices and poses (n + 6 P, n + 6 P), that of the devices as it is stated."""
+    uncertainty, solution = points.calibration.uncertainty, points.solution
+    model, sizes = points.model, points.sizes
+    assert uncertainty is not None
+    assert solution is not None
+    assert model is not None
+    assert sizes is not None
+    joint = covariance_with_poses(points.observations, solution, model, sizes)
+    shared = slice(len(uncertainty.covariance))
+    follows = joint[:, shared] @ np.linalg.inv(joint[shared, shared])
+    return joint + follows @ (uncertainty.covariance - joint[shared, shared]) @ follows.T
 
 
 def left_jacobian(rotation_vector: Floats) -> Floats:
@@ -165,15 +201,19 @@ def left_jacobian(rotation_vector: Floats) -> Floats:
 
 
 def weigh_estimates(
-    step: Floats, covariance: Floats, known: Floats, known_covariance: Floats
+    step: Floats,
+    covariance: Floats,
+    known: Floats,
+    known_covariance: Floats,
+    components: NDArray[np.integer[Any]],
 ) -> tuple[Floats, Floats]:
-    """Combine a step (n,) with other estimates (s,) of its first components; also its covariance (n, n)."""
+    """Combine a step (n,) with other estimates (s,) of some components; also its covariance (n, n)."""
     # Points are centres of marks: blur, grain of the print and uneven light hardly move them, while a fit of
     # images takes for geometry whatever else the twin lacks, and its residuals do not tell. So where the two
     # contradict each other, the covariance of the images is widened until they do not (Birge's ratio).
-    count = len(known)
-    gap, size = known - step[:count], np.sqrt(np.diag(known_covariance))
-    own, theirs = (part / np.outer(size, size) for part in (covariance[:count, :count], known_covariance))
+    count, block = len(known), np.ix_(components, components)
+    gap, size = known - step[components], np.sqrt(np.diag(known_covariance))
+    own, theirs = (part / np.outer(size, size) for part in (covariance[block], known_covariance))
 
     def excess(widening: float) -> float:
         return (
@@ -185,11 +225,11 @@ def weigh_estimates(
     while excess(most) > 0 and most < 1e12:
         most *= 10.0
     widened = covariance * (brentq(excess, most / 10.0, most, rtol=1e-3) if most > 1.0 else 1.0)
-    inverse = np.linalg.pinv(
-        widened[:count, :count] / np.outer(size, size) + theirs, hermitian=True
-    ) / np.outer(size, size)
-    gain = widened[:, :count] @ inverse
-    return step + gain @ gap, widened - gain @ widened[:count]
+    inverse = np.linalg.pinv(widened[block] / np.outer(size, size) + theirs, hermitian=True) / np.outer(
+        size, size
+    )
+    gain = widened[:, components] @ inverse
+    return step + gain @ gap, widened - gain @ widened[components]
 
 
 def _remove_vibration(

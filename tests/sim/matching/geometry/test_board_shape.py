@@ -77,13 +77,25 @@ def test_images_are_weighed_with_points_and_less_where_they_contradict_them() ->
     covariance = np.diag([1.0, 4.0, 1.0])
     covariance[0, 2] = covariance[2, 0] = 0.8  # with a pose, of which points say nothing
     known, of_points = np.array([2.0, 0.0]), np.diag([1.0, 4.0])
-    step, left = geometry_fit.weigh_estimates(np.zeros(3), covariance, known, of_points)
+    step, left = geometry_fit.weigh_estimates(np.zeros(3), covariance, known, of_points, np.arange(2))
     np.testing.assert_allclose(step, [1.0, 0.0, 0.8])
     np.testing.assert_allclose(np.diag(left), [0.5, 2.0, 1.0 - 0.8**2 / 2])
     near = known + [100.0, 0.0]
-    step, left = geometry_fit.weigh_estimates(np.zeros(3), 1e-4 * covariance, near, of_points)
+    step, left = geometry_fit.weigh_estimates(np.zeros(3), 1e-4 * covariance, near, of_points, np.arange(2))
     assert abs(step[0] - near[0]) < 2.0  # in spite of the small covariance of the images
     assert 0.5 < left[0, 0] <= 1.0
+
+
+def test_what_is_fixed_to_the_board_is_as_uncertain_in_many_poses_as_in_one() -> None:
+    """Grain moves a focal length alike in all poses, so that their number does not average it."""
+    random, poses = np.random.default_rng(5), 16
+    grain, own = random.standard_normal((1, 25, 1)), random.standard_normal((poses, 25, 1))
+    one, many, independent = (
+        float(np.sqrt(geometry_fit.covariance_by_tiles(np.eye(1) / len(scores), scores)[0, 0]))
+        for scores in (grain, np.repeat(grain, poses, axis=0), own)
+    )
+    assert many == pytest.approx(one, rel=0.3)
+    assert independent == pytest.approx(np.sqrt(2 / poses) * np.sqrt(25), rel=0.3)
 
 
 def test_a_change_of_a_rotation_vector_is_a_turn_about_the_axes() -> None:
