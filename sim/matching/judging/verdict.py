@@ -19,6 +19,7 @@ from fpplab.diagnosis.causes.of_matching_and_search import (
 )
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
+from fpplab.workflows.characterise import findings_of_poses
 from sim.matching.judging.plausibility import LIMITS as PLAUSIBLE
 from sim.matching.match import CONVERGED
 from sim.matching.match import LIMITS as STEPS
@@ -68,6 +69,7 @@ def accepted_findings(figures: MatchingFigures) -> tuple[str, ...]:
 
 def _own_findings(figures: MatchingFigures) -> list[Finding]:
     return [
+        *findings_of_poses(figures.reference.characterisation),  # a twin inherits what moved between poses
         *figures.late,
         *_of_fit(figures),
         *_of_poses(figures),

@@ -11,11 +11,13 @@ import pytest
 
 from fpplab.diagnosis import Finding, Verdict
 from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
+from fpplab.diagnosis.causes.projector_drift import PROJECTOR_DRIFT
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import characterise_sessions
 from fpplab.sessions.session import Session
 from sim.matching import match
+from sim.matching.judging import verdict
 from sim.matching.judging.verdict import diagnose_matching
 from sim.matching.loss import Weights
 from sim.matching.match import MatchingLimits, match_twin
@@ -242,7 +244,7 @@ def test_a_step_is_ended_when_the_time_is_over(
     assert again.matched.epochs[:2] == first.matched.epochs
 
 
-def test_verdicts_on_a_matching(matching: Matching) -> None:
+def test_verdicts_on_a_matching(matching: Matching, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same matching with one figure changed has one finding more."""
     found = matching.outcome
     assert found.diagnosis.verdict is Verdict.DOUBTFUL
@@ -274,6 +276,10 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
     loss = replace(final.loss, twin_rms_px=final.loss.twin_rms_px + 0.3)
     apart = diagnose_matching(replace(whole, final=replace(final, loss=loss)))
     assert "points_misfit" in [one.cause.key for one in apart.findings]
+    drift = Finding(PROJECTOR_DRIFT, "the projector's picture of the board walks", 2.0)
+    monkeypatch.setattr(verdict, "findings_of_poses", lambda characterisation: [drift])
+    drifting = diagnose_matching(whole)
+    assert (drifting.verdict, drifting.findings) == (Verdict.DOUBTFUL, (drift,))
 
 
 def test_report_of_a_matching(matching: Matching, tmp_path: Path) -> None:
