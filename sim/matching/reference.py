@@ -71,6 +71,12 @@ class Reference:
         return self.characterisation.calibration.rms_px["joint"]
 
     @property
+    def is_steady(self) -> bool:
+        """Whether the projector's picture stayed where it was from pose to pose."""
+        sizes = self.characterisation.sizes
+        return sizes is None or not sizes.drift_px
+
+    @property
     def full_scale(self) -> int:
         """The greatest raw level of the frames."""
         return full_scale(self.settings.bits)

@@ -307,6 +307,8 @@ REPEATED_STEPS = (
     MatchingStep(
         "images",
         _refine_by_images,
+        # Points allow for a picture that walks from pose to pose, a twin's images do not.
+        applies=lambda at: at.reference.is_steady,
         again=False,  # what the twin lacks and images take for geometry is the same in every round
     ),
     MatchingStep(

@@ -10,12 +10,14 @@ import pytest
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import DistortionModel
+from fpplab.characterisation.parameters import ErrorSizes
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from sim.matching.geometry import geometry_fit
 from sim.matching.geometry.board_shape import bend_displacements_mm, bend_mm
 from sim.matching.match import moved_um
 from sim.matching.reference import Reference
+from sim.matching.steps import REPEATED_STEPS
 from sim.parameters import TwinParameters
 from tests.sim.matching.test_matching import PLAN, truth
 from tests.support.plane_twin import CAMERA, PAIR, PROJECTOR, TARGET, PlaneTwin, Remembered
@@ -96,6 +98,14 @@ def test_what_is_fixed_to_the_board_is_as_uncertain_in_many_poses_as_in_one() ->
     )
     assert many == pytest.approx(one, rel=0.3)
     assert independent == pytest.approx(np.sqrt(2 / poses) * np.sqrt(25), rel=0.3)
+
+
+@pytest.mark.parametrize("drift_px", [0.0, 0.05])
+def test_the_geometry_is_that_of_the_points_where_the_projector_drifts(drift_px: float) -> None:
+    sizes = ErrorSizes(0.02, 0.02, 0.01, 0.01, drift_px=drift_px)
+    at = SimpleNamespace(reference=Reference((), TARGET, cast(Any, SimpleNamespace(sizes=sizes))))
+    (images,) = (step for step in REPEATED_STEPS if step.name == "images")
+    assert images.applies(cast(Any, at)) is (drift_px == 0)
 
 
 def test_a_change_of_a_rotation_vector_is_a_turn_about_the_axes() -> None:
