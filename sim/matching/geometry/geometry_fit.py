@@ -97,9 +97,10 @@ def _intrinsics(device: Pinhole) -> Floats:
 def refine_by_reprojection(parameters: TwinParameters, characterisation: Characterisation) -> TwinParameters:
     """Refine the geometry by bundle adjustment of the points observed in camera and projector."""
     model = Model(characterisation.level, characterisation.board)
-    adjusted, _ = adjust_bundle(
-        characterisation.observations, solution_of(parameters, characterisation.board), model
-    )
+    start, known = solution_of(parameters, characterisation.board), characterisation.solution
+    if known is not None and known.steps.size:  # without its drift, the poses would take it
+        start = replace(start, steps=known.steps, ages=known.ages)
+    adjusted, _ = adjust_bundle(characterisation.observations, start, model, first=characterisation.sizes)
     return with_solution(parameters, adjusted)
 
 

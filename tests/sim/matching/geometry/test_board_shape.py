@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation import DistortionModel
+from fpplab.characterisation import DistortionModel, characterise
 from fpplab.characterisation.parameters import ErrorSizes
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
@@ -20,7 +21,9 @@ from sim.matching.reference import Reference
 from sim.matching.steps import REPEATED_STEPS
 from sim.parameters import TwinParameters
 from tests.sim.matching.test_matching import PLAN, truth
-from tests.support.plane_twin import CAMERA, PAIR, PROJECTOR, TARGET, PlaneTwin, Remembered
+from tests.support.plane_twin import CAMERA, PAIR, PROJECTOR, TARGET, PlaneTwin, Remembered, nominal
+from tests.support.rigs import BOARD, SQUARE, observed, poses
+from tests.support.rigs import CAMERA as RIG_CAMERA
 
 __all__ = ["truth"]  # a fixture
 
@@ -106,6 +109,21 @@ def test_the_geometry_is_that_of_the_points_where_the_projector_drifts(drift_px:
     at = SimpleNamespace(reference=Reference((), TARGET, cast(Any, SimpleNamespace(sizes=sizes))))
     (images,) = (step for step in REPEATED_STEPS if step.name == "images")
     assert images.applies(cast(Any, at)) is (drift_px == 0)
+
+
+@pytest.mark.whole
+def test_points_keep_the_drift_that_the_characterisation_found() -> None:
+    truth, walk = poses(5), np.cumsum(np.tile([0.12, -0.08], (5, 1)), axis=0)
+    seen = [
+        replace(o, projector_px=o.projector_px + by)
+        for o, by in zip(observed(truth, noise_px=0.01), walk, strict=True)
+    ]
+    found = characterise(seen, BOARD, RIG_CAMERA.size, SQUARE.size, validate=False)
+    assert found.sizes is not None
+    assert found.sizes.drift_px > 0
+    start = replace(nominal(found.poses), calibration=found.calibration)
+    refined = geometry_fit.refine_by_reprojection(start, found)
+    assert moved_um(start, refined) < 5.0
 
 
 def test_a_change_of_a_rotation_vector_is_a_turn_about_the_axes() -> None:
