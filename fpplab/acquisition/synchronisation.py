@@ -182,9 +182,10 @@ def check_synchronisation(recording: Recording) -> SyncVerdict:
 
 def provable(plan: Plan) -> bool:
     """Tell whether a late, early, missed or doubled trigger shows in a plan's frames, for any response."""
-    # It does not where sinusoids with their second harmonics can pass through any frames: a single set of up
-    # to five steps.
-    return plan.images > 1 + sum(min(2 * NONLINEAR, fringe.images - 1) for fringe in plan.fringes)
+    # It does not where what a pixel may see can pass through any frames, such as sinusoids with their second
+    # harmonics through a single set of up to five steps.
+    free = (np.linalg.matrix_rank(each.waves(NONLINEAR)) for each in plan.sets)
+    return plan.images > 1 + sum(int(rank) for rank in free)
 
 
 def _moments(recording: Recording) -> Moments | None:
@@ -231,8 +232,8 @@ def _ripple(levels: Map) -> Map:
 def _waves(plan: Plan, harmonics: int, own_offsets: bool) -> Floats:
     """Basis of what a pixel may see of every pattern: own harmonics for each set, and one common offset."""
     # With own offsets the room's light changed between the sets, which their phases do not see.
-    offsets = [np.ones((fringe.images, 1)) for fringe in plan.fringes]
-    waves = block_diag(*(fringe.waves(harmonics) for fringe in plan.fringes))
+    offsets = [np.ones((each.images, 1)) for each in plan.sets]
+    waves = block_diag(*(each.waves(harmonics) for each in plan.sets))
     return np.concatenate([block_diag(*offsets) if own_offsets else np.vstack(offsets), waves], axis=1)
 
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from fpplab.characterisation.descriptions import explain_board_mismatch
 from fpplab.characterisation.limits import LOCAL_FIT_LIMITS, USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.local_fits import coordinates_at_points
-from fpplab.core.conventions import Floats, Map
+from fpplab.core.conventions import AXES, Floats, Map
 from fpplab.core.errors import CalibrationError
+from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.plan import Plan
 from fpplab.targets import Target, UnclearPart
 from fpplab.targets.limits import TARGET_LIMITS
@@ -50,8 +51,10 @@ def finest_periods(plan: Plan, projector_size: tuple[int, int]) -> tuple[float, 
     # projector_size (width, height) px
     if plan.unwrapped_axes != ("x", "y"):
         raise CalibrationError("characterisation needs fringes along x and y; use a plan that has both")
-    stripes = [plan.fringes[plan.finest_set(axis)].stripes for axis in plan.axes]
-    return projector_size[0] / stripes[0], projector_size[1] / stripes[1]
+    # Other codes than fringes have no orders that could be wrong by one: their period is the whole length.
+    fringes = [each for each in plan.sets if isinstance(each, FringeSet)]
+    x, y = (max((each.stripes for each in fringes if each.axis == axis), default=1.0) for axis in AXES)
+    return projector_size[0] / x, projector_size[1] / y
 
 
 def observe(

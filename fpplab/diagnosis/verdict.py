@@ -12,14 +12,15 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
 from fpplab.diagnosis.causes.wrong_plan import EXCESS, WRONG_PLAN
+from fpplab.diagnosis.codes import NOT_SHOWN, criteria_of_codes, findings_on_geometry, lit_pixels
 from fpplab.diagnosis.criteria import CriteriaLimits, Criterion, criteria_of, left_out
 from fpplab.diagnosis.detection import FRAME_STAGES, find_causes
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.diagnosis.finding import FaultCause, Finding
 from fpplab.diagnosis.geometry import GeometryCheck
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits, LimitsSection, ShareLimit
+from fpplab.diagnosis.plan.code_order import code_order_fault
 from fpplab.diagnosis.ranking import rank_findings
-from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
@@ -139,7 +140,11 @@ def diagnosis_of(
 def diagnose_frames(
     recording: Recording, decoded: Decoded | None = None, limits: DiagnosisLimits = USUAL_LIMITS
 ) -> tuple[Finding, ...]:
-    """Look for what is wrong with the frames of a recording alone."""
+    """Look for what is wrong with the fringes of a recording alone."""
+    fringes = recording.fringe_part
+    if fringes is None:
+        return ()
+    recording = fringes
     return rank_findings(find_causes(Evidence(recording, decoded, limits=limits), FRAME_STAGES))
 
 
@@ -153,8 +158,15 @@ def diagnose_scan(
     limits: DiagnosisLimits = USUAL_LIMITS,
 ) -> Diagnosis:
     """Judge a scan; without `geometry` it is not asked whether the rig is as it was characterised."""
+    fringes, order = recording.fringe_part, code_order_fault(recording, limits)
+    of_plan = [] if order is None else [Finding(WRONG_PLAN, order, EXCESS)]
+    if fringes is None:
+        on_geometry = findings_on_geometry(decoded, cloud, calibration, geometry, limits)
+        findings = rank_findings([*of_plan, *on_geometry])
+        unknown = _unknown(recording, decoded, cloud, geometry) if cloud else ()
+        return _diagnose_codes(recording, decoded, cloud, findings, unknown, limits)
     evidence = Evidence(
-        recording,
+        fringes,
         decoded,
         cloud,
         calibration,
@@ -162,25 +174,52 @@ def diagnose_scan(
         geometry=geometry,
         limits=limits,
     )
-    findings = rank_findings(find_causes(evidence))
+    findings = rank_findings([*find_causes(evidence), *of_plan])
     if cloud is None:
         judged = Diagnosis(Verdict.USELESS, "there are no points", findings)
     else:
-        one_axis = "stale_calibration: fringes along one axis alone do not show it"
-        few_steps = "projector_drift: no fine fringe set has seven steps or is shown twice"
-        unplaced = _unplaced(recording, cloud, geometry is None or geometry.region_is_known)
-        is_seen = decoded.guided is not None or (geometry is not None and geometry.seen)
-        unknown = (one_axis,) * (cloud.epipolar_px is None and not is_seen)
-        unknown += (f"region: {unplaced}",) * bool(unplaced)
-        unknown += (few_steps,) * (not can_show_drift(recording.plan))
-        unknown += geometry.unverified if geometry else ()
+        unknown = _unknown(recording, decoded, cloud, geometry)
         seeing = evidence.frames.estimate_pixels_seeing_fringes(cloud)
         counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"
-        judged = _judge_findings(evidence.frames, (len(cloud), seeing), counted, findings, unknown)
+        judged = _judge_findings(recording, limits, (len(cloud), seeing), counted, findings, unknown)
         judged = _by_criteria(judged, criteria_of(evidence.frames, decoded, cloud))
         if judged.verdict is Verdict.GOOD and geometry and geometry.doubt:
             reason = f"{counted}; geometry not verified: {geometry.doubt.reason}; {geometry.doubt.remedy}"
             judged = replace(judged, verdict=Verdict.UNVERIFIED, reason=reason)
+    return replace(judged, changed_limits=limits.changes())
+
+
+def _unknown(
+    recording: Recording, decoded: Decoded, cloud: Cloud, geometry: GeometryCheck | None
+) -> tuple[str, ...]:
+    """Say what nothing in a scan shows."""
+    one_axis = "stale_calibration: fringes along one axis alone do not show it"
+    few_steps = "projector_drift: no fine fringe set has seven steps or is shown twice"
+    unplaced = _unplaced(recording, cloud, geometry is None or geometry.region_is_known)
+    is_seen = decoded.guided is not None or (geometry is not None and geometry.seen)
+    part = recording.plan.fringe_part
+    unknown = (one_axis,) * (cloud.epipolar_px is None and not is_seen)
+    unknown += (f"region: {unplaced}",) * bool(unplaced)
+    unknown += (few_steps,) * (part is None or not can_show_drift(part))
+    unknown += (NOT_SHOWN,) * (part is None or part.axes != recording.plan.axes)
+    return unknown + (geometry.unverified if geometry else ())
+
+
+def _diagnose_codes(
+    recording: Recording,
+    decoded: Decoded,
+    cloud: Cloud | None,
+    findings: tuple[Finding, ...],
+    unknown: tuple[str, ...],
+    limits: DiagnosisLimits,
+) -> Diagnosis:
+    """Judge coordinates without fringes, which are never good: their frames show too little."""
+    lit, count = lit_pixels(recording), int(decoded.valid.sum()) if cloud is None else len(cloud)
+    counted = f"{count} of {lit} pixels that see the codes are measured"
+    judged = _judge_findings(recording, limits, (count, lit), counted, findings, unknown)
+    judged = _by_criteria(judged, criteria_of_codes(decoded, cloud, lit, limits))
+    if judged.verdict is Verdict.GOOD:
+        judged = replace(judged, verdict=Verdict.UNVERIFIED, reason=f"{counted}; not verified: {NOT_SHOWN}")
     return replace(judged, changed_limits=limits.changes())
 
 
@@ -201,8 +240,12 @@ def diagnose_decoded(
     plan_fault: str | None = None,
 ) -> Diagnosis:
     """Judge projector coordinates by their frames, as far as that needs no calibration."""
-    evidence = Evidence(recording, decoded, limits=limits)
     of_plan = [] if plan_fault is None else [Finding(WRONG_PLAN, plan_fault, EXCESS)]
+    unknown = ("geometry: 'fpplab reconstruct' judges it, with a calibration",)
+    fringes = recording.fringe_part
+    if fringes is None:
+        return _diagnose_codes(recording, decoded, None, tuple(of_plan), (*unknown, NOT_SHOWN), limits)
+    evidence = Evidence(fringes, decoded, limits=limits)
     findings = rank_findings([*find_causes(evidence, FRAME_STAGES), *of_plan])
     sample, count = evidence.frames, int(decoded.valid.sum())
     seeing = sample.estimate_pixels_seeing_fringes(decoded)
@@ -210,8 +253,7 @@ def diagnose_decoded(
     lost = left_out(sample, decoded)
     if lost and count < sample.limits.of(CriteriaLimits).min_points_share * seeing:
         counted += f"; of the others {lost}"
-    unknown = ("geometry: 'fpplab reconstruct' judges it, with a calibration",)
-    judged = _judge_findings(sample, (count, seeing), counted, findings, unknown)
+    judged = _judge_findings(recording, limits, (count, seeing), counted, findings, unknown)
     judged = _by_criteria(judged, criteria_of(sample, decoded, None))
     return replace(judged, changed_limits=limits.changes())
 
@@ -260,15 +302,16 @@ def _worst(of_poses: Sequence[tuple[str, Finding]], poses: int) -> Finding:
 
 
 def _judge_findings(
-    sample: FrameSample,
+    recording: Recording,
+    all_limits: DiagnosisLimits,
     measured: tuple[int, float],
     counted: str,
     findings: tuple[Finding, ...],
     unknown: tuple[str, ...],
 ) -> Diagnosis:
     # measured: how many points or pixels, and how many pixels see the fringes
-    limits, (count, seeing) = sample.limits.of(VerdictLimits), measured
-    pixels = sample.recording.frames[0].size
+    limits, (count, seeing) = all_limits.of(VerdictLimits), measured
+    pixels = recording.frames[0].size
     if count < max(limits.min_points_of_lit * seeing, limits.min_points_of_image * pixels):
         return Diagnosis(Verdict.USELESS, counted, findings, unknown)
     useless = [finding for finding in findings if finding.excess >= finding.cause.useless_from]

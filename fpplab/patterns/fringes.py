@@ -36,14 +36,14 @@ def pattern_image(
     # It is corrected for the plan's response before it is quantised, so that each grey level is the nearest
     # to the light that is wanted.
     # returns (height, width)
-    fringe, (width, height) = plan.fringes[index], size
+    shown, (width, height) = plan.sets[index], size
     # Along x two rows hold all there is, on either lattice; along y one column does.
-    repeated = (width, min(height, 2)) if fringe.axis == "x" else (1, height)
-    level = fringe.level(step, repeated, lattice)
+    repeated = (1, height) if shown.coded_axis == "y" else (width, min(height, 2))
+    level = shown.level(step, repeated, lattice)
     greys = quantise(level if plan.response is None else plan.response.correct(level), bit_depth)
-    if fringe.axis == "x":
-        return np.resize(greys, (height, width))
-    return np.repeat(greys, width, axis=1)
+    if shown.coded_axis == "y":
+        return np.repeat(greys, width, axis=1)
+    return np.resize(greys, (height, width))
 
 
 def make_patterns(

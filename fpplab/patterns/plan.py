@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import accumulate
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from fpplab.core import config
 from fpplab.core.config import Document
-from fpplab.core.conventions import Axis, axis_length
+from fpplab.core.conventions import AXES, Axis, axis_length
 from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.core.tagged_union import TaggedUnion
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import FringeSet, indices_along
+from fpplab.patterns.fringe_sets import FringeSet, PatternSet, indices_along
+from fpplab.patterns.fringe_sets.pattern_files import with_pattern_files
 from fpplab.patterns.response import with_named_response
 from fpplab.patterns.unwrapping import unwrapping_methods
 
-AnyFringeSet = Annotated[FringeSet, TaggedUnion(default="sinusoid")]
-"""A fringe set of any kind; a sinusoid where no `kind` is given."""
+AnySet = Annotated[PatternSet, TaggedUnion(default="sinusoid")]
+"""A set of patterns of any kind; a sinusoid where no `kind` is given."""
 
 
 def _known_method(name: str) -> str:
@@ -106,10 +107,12 @@ class GreyLevels(Document):
 
 
 class Plan(Document):
-    """Fringe sets in the order they are shown, how to unwrap them, and the exposure."""
+    """Sets of patterns in the order they are shown, how to unwrap them, and the exposure."""
 
-    fringes: Annotated[tuple[AnyFringeSet, ...], Field(min_length=1)]
-    """The fringe sets, in the order they are shown."""
+    model_config = ConfigDict(serialize_by_alias=True)
+
+    sets: tuple[AnySet, ...] = Field(alias="fringes", min_length=1)
+    """The sets of patterns, in the order they are shown: fringes, and codes of other kinds."""
     unwrapping: Annotated[str, AfterValidator(_known_method)] = "hierarchical"
     """Name of the temporal unwrapping method (`fpplab.patterns.unwrapping`)."""
     guided_axis: Axis | None = None
@@ -159,9 +162,15 @@ class Plan(Document):
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Plan:
-        sizes = {f.projector_size for f in self.fringes}
+        sizes = {each.projector_size for each in self.sets}
         if len(sizes) > 1:
             raise ValueError("every fringe set must name the same projector_size, or none")
+        return self
+
+    @model_validator(mode="after")
+    def _has_a_code(self) -> Plan:
+        if not self.axes:
+            raise ValueError("'fringes' have even light alone: needs a set that codes an axis")
         return self
 
     @model_validator(mode="after")
@@ -177,14 +186,14 @@ class Plan(Document):
         return self
 
     def __repr__(self) -> str:
-        sets = ", ".join(f"{fringe.axis} {fringe.stripes:g} x {fringe.images}" for fringe in self.fringes)
+        sets = ", ".join(f"{each.coded_axis or ''} {each.short_name} x {each.images}" for each in self.sets)
         return f"<Plan: {sets}; {self.images} images, {self.unwrapping}>"
 
     @classmethod
     def load(cls, path: Path | str) -> Plan:
         """Read a plan file, by path or by the name of one that comes with fpplab.
 
-        A response file that the plan names is read too, and its values are put in place of the name.
+        A response file or pattern files that the plan names are read too, and their values are put into it.
 
         Parameters
         ----------
@@ -205,18 +214,62 @@ class Plan(Document):
         file = config.find_config(path, "plan")
         with naming_other_kinds(file, "plan"):
             data = config.parse_yaml(config.read_text(file), file)
-            return config.validate(with_named_response(data, file), cls, file)
+            data = with_pattern_files(with_named_response(data, file), file)
+            return config.validate(data, cls, file)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Plan:
+        """Copy with other values, by the names that they have in a plan file.
+
+        Parameters
+        ----------
+        update : mapping, optional
+            New values; they are not checked.
+        deep : bool
+            Whether values are copied too.
+
+        Returns
+        -------
+        Plan
+            The copy.
+        """
+        changed = {"sets" if name == "fringes" else name: value for name, value in (update or {}).items()}
+        return super().model_copy(update=changed, deep=deep)
+
+    @property
+    def fringes(self) -> tuple[FringeSet, ...]:
+        """The fringe sets, in the order they are shown; a `ConfigError` where there are other sets.
+
+        `fringe_part` is without them.
+        """
+        fringes = tuple(each for each in self.sets if isinstance(each, FringeSet))
+        if len(fringes) < len(self.sets):
+            kinds = ", ".join(sorted({type(each).__name__.lower() for each in self.sets} - {"sinusoid"}))
+            raise ConfigError(f"the plan has sets that are no fringes ({kinds}), which this cannot use")
+        return fringes
+
+    @property
+    def fringe_indices(self) -> tuple[int, ...]:
+        """Indices into `sets` of the fringe sets."""
+        return tuple(k for k, each in enumerate(self.sets) if isinstance(each, FringeSet))
+
+    @property
+    def fringe_part(self) -> Plan | None:
+        """The plan with its fringe sets alone; None where it has none."""
+        fringes = tuple(each for each in self.sets if isinstance(each, FringeSet))
+        if len(fringes) == len(self.sets):
+            return self
+        return self.model_copy(update={"fringes": fringes}) if fringes else None
 
     @property
     def images(self) -> int:
         """Number of images of a measurement."""
-        return sum(f.images for f in self.fringes)
+        return sum(each.images for each in self.sets)
 
     @property
     def axes(self) -> tuple[Axis, ...]:
         """The axes that are coded, x before y."""
-        coded = {f.axis for f in self.fringes}
-        return tuple(a for a in ("x", "y") if a in coded)
+        coded = {each.coded_axis for each in self.sets}
+        return tuple(a for a in AXES if a in coded)
 
     @property
     def unwrapped_axes(self) -> tuple[Axis, ...]:
@@ -231,8 +284,9 @@ class Plan(Document):
         str or None
             None where it can, or where no axis is guided.
         """
-        axis, last = self.guided_axis, len(self.fringes) - 1
-        if axis is None or (self.sets_along(axis) == (last,) and last > 0):
+        axis, last = self.guided_axis, len(self.sets) - 1
+        along = tuple(k for k, each in enumerate(self.sets) if each.coded_axis == axis)
+        if axis is None or (along == (last,) and last > 0 and isinstance(self.sets[last], FringeSet)):
             return None
         return f"'guided_axis' is '{axis}': needs the last fringe set, and no other, along {axis}"
 
@@ -256,7 +310,7 @@ class Plan(Document):
     @property
     def projector_size(self) -> tuple[int, int] | None:
         """Projector size (width, height) in px that the fringes were made for; None if not given."""
-        return self.fringes[0].projector_size
+        return self.sets[0].projector_size
 
     def sets_along(self, axis: Axis) -> tuple[int, ...]:
         """List the fringe sets along one axis.
@@ -301,7 +355,7 @@ class Plan(Document):
     @property
     def set_starts(self) -> tuple[int, ...]:
         """Indices of each set's first image, and of what would follow the last set, (S + 1,)."""
-        return tuple(accumulate((f.images for f in self.fringes), initial=0))
+        return tuple(accumulate((each.images for each in self.sets), initial=0))
 
     @property
     def finest_images(self) -> tuple[int, ...]:
@@ -315,14 +369,14 @@ class Plan(Document):
         Yields
         ------
         tuple of int, int, str
-            Index of the fringe set in `fringes`, step within the set, id of the pattern.
+            Index of the set in `sets`, step within the set, id of the pattern.
         """
-        for index, fringe in enumerate(self.fringes):
-            for n in range(fringe.images):
-                yield index, n, fringe.pattern_id(index, n)
+        for index, each in enumerate(self.sets):
+            for n in range(each.images):
+                yield index, n, each.pattern_id(index, n)
 
     def check_projector(self, size: tuple[int, int], source: Path | str) -> None:
-        """Refuse a plan whose stripes the projector cannot resolve, or that was made for another size.
+        """Refuse a plan whose sets the projector cannot show, or that was made for another size.
 
         Parameters
         ----------
@@ -334,16 +388,12 @@ class Plan(Document):
         Raises
         ------
         ConfigError
-            A fringe set has more stripes than half of the pixels along its axis, or `projector_size` is
-            another.
+            A set cannot be shown, such as more stripes than half of the pixels along its axis, or
+            `projector_size` is another.
         """
-        for i, fringe in enumerate(self.fringes):
-            length = axis_length(size, fringe.axis)
-            if fringe.stripes > length / 2:
-                raise ConfigError(
-                    f"{source}: 'fringes[{i}].stripes' is {fringe.stripes:g}: more than half of the "
-                    f"projector's {length} pixels along {fringe.axis}; at most {length / 2:g}"
-                )
+        for i, each in enumerate(self.sets):
+            if fault := each.fault(axis_length(size, each.coded_axis or "x")):
+                raise ConfigError(f"{source}: 'fringes[{i}].{fault}")
         if self.projector_size not in (None, tuple(size)):
             raise ConfigError(
                 f"{source}: 'projector_size' is {list(self.projector_size or ())} but the projector "

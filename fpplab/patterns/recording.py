@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpplab.core import buffers
-from fpplab.core.conventions import Axis, Floats, Image, Map, full_scale, raw_per_grey
+from fpplab.core.conventions import Axis, Floats, Image, Lattice, Map, full_scale, raw_per_grey
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import DataError
 from fpplab.patterns.curve import Curve
@@ -47,6 +47,8 @@ class Recording:
         Between which distances everything lies, where plan or rig state it.
     is_imported : bool
         Whether the frames are a session's that another program recorded.
+    lattice : Lattice
+        How the projector's mirrors lie, which edges of codes follow.
     """
 
     frames: Sequence[Image]
@@ -57,6 +59,7 @@ class Recording:
     response: Curve | None = None
     depth: DepthRange | None = None
     is_imported: bool = False
+    lattice: Lattice = Lattice.SQUARE
 
     def __repr__(self) -> str:
         height, width = self.frames[0].shape if self.frames else (0, 0)
@@ -115,6 +118,23 @@ class Recording:
         index = self.plan.finest_set(axis)
         return self.plan.fringes[index], self.of_set(index)
 
+    @property
+    def fringe_part(self) -> Recording | None:
+        """The fringe sets alone, with their frames; None where the plan has none."""
+        part = self.plan.fringe_part
+        if part is None or part is self.plan:
+            return None if part is None else self
+        frames = [frame for k in self.plan.fringe_indices for frame in self.of_set(k)]
+        return replace(self, plan=part, frames=frames)
+
+    @property
+    def typical_frame(self) -> Image:
+        """A frame that shows the scene under its finest fringes, or under a code where there are none."""
+        if part := self.fringe_part:
+            return part.finest()[1][0]
+        coded = next(k for k, each in enumerate(self.plan.sets) if each.coded_axis)
+        return self.of_set(coded)[-1]
+
     def along(self, axis: Axis) -> Recording:
         """Take the fringe sets along one axis.
 
@@ -144,8 +164,8 @@ class Recording:
         ndarray of uint8, (height, width)
             8-bit grey levels.
         """
-        sets = range(len(self.plan.fringes))
-        frames = self.finest()[1] if index is None else self.of_set(sets[index])
+        sets = range(len(self.plan.sets))
+        frames = self._evenly_lit() if index is None else self.of_set(sets[index])
         height, width = frames[0].shape
         mean, divisor = buffers.empty((height, width), np.uint8), np.float32(len(frames) / self.grey)
 
@@ -159,6 +179,17 @@ class Recording:
         with ThreadPoolExecutor() as threads:
             list(threads.map(average, range(0, height, _BAND)))
         return mean
+
+    def _evenly_lit(self) -> Sequence[Image]:
+        """Frames whose mean is the scene under even light: of fringes, of white, or of all codes."""
+        if part := self.fringe_part:
+            return part.finest()[1]
+        images = [k for k, (index, step, _) in enumerate(self.plan.steps()) if self._is_white(index, step)]
+        return [self.frames[k] for k in images] or self.frames
+
+    def _is_white(self, index: int, step: int) -> bool:
+        shown = self.plan.sets[index]
+        return shown.coded_axis is None and bool(shown.light(step, np.zeros(1), 1)[0] > 0.5)
 
     def checked(self) -> Recording:
         """Make sure that the frames are the plan's, as contiguous arrays of the machine's byte order.

@@ -29,6 +29,17 @@ from fpplab.phase.bounds import (
     interval_of,
     widest_interval_share,
 )
+from fpplab.phase.code_decoding import decode_codes
+from fpplab.phase.coded_axes import (
+    WITH_CODES,
+    axes_by_codes,
+    axes_with_orders,
+    decode_coded_axis,
+    intervals_of,
+    joined_axes,
+    may_be_a_period_off,
+    sets_of_axis,
+)
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.edges import correct_edges
@@ -85,24 +96,67 @@ def decode(
             f"recording: takes a Recording, such as session.recording(), not a {type(recording).__name__}"
         )
     recording = recording.checked()
+    if recording.fringe_part is recording:
+        return _decode_fringes(recording, progress, bounds or {})
+    return _decode_codes_and_fringes(recording, progress, bounds or {})
+
+
+def _decode_fringes(
+    recording: Recording, progress: Progress, bounds: DecodingBounds, coded: tuple[Axis, ...] = ()
+) -> Decoded:
     errors = error_model_of(recording)
-    return replace(_decode_axes(recording, errors, progress, bounds), drifts=errors.drifts)
+    return replace(_decode_axes(recording, errors, progress, bounds, coded), drifts=errors.drifts)
+
+
+def _decode_codes_and_fringes(recording: Recording, progress: Progress, bounds: DecodingBounds) -> Decoded:
+    """Decode axes by codes, and by fringes whose orders codes, other fringes or the geometry tell."""
+    plan, size = recording.plan, recording.projector_size
+    with_orders, part = axes_with_orders(plan, size), recording.fringe_part
+    by_codes = axes_by_codes(plan, size)
+    by_fringes = tuple(axis for axis in plan.axes if axis not in by_codes)
+    within, unclear = dict(bounds), np.zeros(recording.frames[0].shape, np.bool_)
+    repeats_px: dict[Axis, float] = {}
+    for axis, periods in with_orders.items():
+        known = bounds.get(axis)
+        known = known if isinstance(known, PossibleCoordinates) else None
+        codes = decode_codes(recording, axis, sets_of_axis(plan, axis, with_fringes=False), known)
+        within[axis], unknown, repeats_px[axis] = intervals_of(codes, periods, axis_length(size, axis), known)
+        unclear |= unknown
+    parts: dict[Axis, Decoded] = {axis: decode_coded_axis(recording, axis, bounds) for axis in by_codes}
+    if part and by_fringes:
+        fringes = part if len(by_fringes) == len(part.plan.axes) else part.along(by_fringes[0])
+        decoded = _decode_fringes(fringes, progress, within, tuple(with_orders))
+        for axis, period_px in repeats_px.items():
+            possible = within[axis]
+            assert isinstance(possible, PossibleCoordinates)
+            steps = part.plan.fringes[part.plan.finest_set(axis)].images
+            unclear |= may_be_a_period_off(decoded.coordinate(axis), possible, period_px, steps)
+        _drop(decoded, np.flatnonzero(unclear))
+        if not by_codes:
+            return decoded
+        parts[by_fringes[0]] = decoded
+    progress(1.0)
+    return joined_axes(parts)
 
 
 def _decode_axes(
-    recording: Recording, errors: ErrorModel, progress: Progress, bounds: DecodingBounds | None
+    recording: Recording,
+    errors: ErrorModel,
+    progress: Progress,
+    bounds: DecodingBounds,
+    coded: tuple[Axis, ...],
 ) -> Decoded:
     guided = recording.plan.guided_axis
-    possible = {a: b for a, b in (bounds or {}).items() if isinstance(b, PossibleCoordinates)}
+    possible = {a: b for a, b in bounds.items() if isinstance(b, PossibleCoordinates)}
     check_bounds(possible, recording)
     if guided is None:
-        return _decode_unwrapped(recording, errors, progress, possible or None)
+        return _decode_unwrapped(recording, errors, progress, possible or None, coded)
     if fault := recording.plan.guidance_fault():
         raise ConfigError(f"{recording.name}: {fault}")
     (leading,) = recording.plan.unwrapped_axes
     first, second = recording.along(leading), recording.along(guided)
-    decoded = _decode_unwrapped(first, errors.of_sets(0, -1), progress, possible or None)
-    prediction = (bounds or {}).get(guided)
+    decoded = _decode_unwrapped(first, errors.of_sets(0, -1), progress, possible or None, coded)
+    prediction = bounds.get(guided)
     if not isinstance(prediction, PredictedCoordinate):
         return decoded
     predicted = prediction.predict(decoded.coordinate(leading))
@@ -116,11 +170,18 @@ def _decode_unwrapped(
     errors: ErrorModel,
     progress: Progress,
     bounds: Mapping[Axis, PossibleCoordinates] | None,
+    coded: tuple[Axis, ...] = (),
 ) -> Decoded:
-    """Decode all axes, each unwrapped by its own sets."""
+    """Decode all axes, each unwrapped by its own sets, or within what codes of other kinds tell."""
     plan, bits, source, size = recording.plan, recording.bits, recording.name, recording.projector_size
     sequences = [
-        wavelength_sequence(plan, axis, source, widest_interval_share(bounds, axis, size))
+        wavelength_sequence(
+            plan,
+            axis,
+            source,
+            widest_interval_share(bounds, axis, size),
+            WITH_CODES if axis in coded else None,
+        )
         for axis in plan.axes
     ]
     recipe = recipe_of(recording, sequences, errors, bounds)

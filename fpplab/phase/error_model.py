@@ -149,7 +149,7 @@ def fit_errors(
     # themselves.
     # samples (N, P); harmonics (K,)
     step, grey = level_step(np.concatenate([sample.ravel() for sample in samples])), 1.0 / raw_per_grey(bits)
-    saturation = math.floor(full_scale(bits) - step) + 1
+    saturation = _saturation(bits, step)
     usable = np.flatnonzero(_find_usable_pixels(samples, saturation))
     freedom = sum(fringe.images - 3 for fringe in fringes) or len(fringes) - 1
     usable = usable[:: max(1, len(usable) * freedom // NOISE.max_values)]
@@ -173,6 +173,15 @@ def fit_errors(
     model = ErrorModel(noise, tuple(sets), saturation, lag)
     single = zip(groups, fits, strict=True)
     return model, {group.members[0]: fit for group, fit in single if len(group.members) == 1}
+
+
+def _saturation(bits: int, step: float) -> int:
+    return math.floor(full_scale(bits) - step) + 1
+
+
+def saturation_of(recording: Recording) -> int:
+    """Give the raw value from which on a sample is saturated."""
+    return _saturation(recording.bits, level_step(np.stack([f.reshape(-1)[::64] for f in recording.frames])))
 
 
 def _find_usable_pixels(samples: Sequence[Image], saturation: int) -> Mask:

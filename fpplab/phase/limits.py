@@ -296,6 +296,43 @@ class EdgeLimits(NamedTuple):
     0.08 to 0.37."""
 
 
+class CodeLimits(NamedTuple):
+    """Limits of the decoder of all kinds of codes."""
+
+    candidate_step: float = 0.25
+    """Change of an image's light, of its whole range, within which coordinates are one candidate. Chosen: a
+    finer one finds the same coordinates, but for 2 in 10,000, and takes twice the time."""
+    min_contrast: float = 0.05
+    """Length of a code without its mean below which it has no contrast, in the light's range. Chosen."""
+    blurs_px: tuple[float, ...] = (0.0, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
+    """Standard deviations of the blur that are tried on a sample of pixels. Chosen: a step of the square
+    root of 2 changes what edges leave by less than noise."""
+    sample_pixels: int = 2000  # pixels that tell blur and noise (chosen)
+    hull_chi2: float = 25.0
+    """χ² up to which a coordinate is possible. Chosen: 5 sigma, since neighbouring fringes count on it."""
+    usual_width_share: float = 0.9
+    """Share of the pixels whose interval is within a period, for unwrapping to begin with it. Chosen: at
+    edges of cells noise leaves more."""
+    margin_share: float = 0.25
+    """By how much the interval of possible coordinates is widened, where there is room, as a share of the
+    width within which the fringes repeat nowhere. Chosen: translucent parts blur edges by more than the rest
+    of the scene."""
+    guard: float = 0.01
+    """How near the ends of an interval of a whole period a coordinate is not believed, as a share of the
+    period. Chosen: what the response leaves of four steps."""
+    guard_of_three: float = 0.05
+    """The same of three steps. Measured on a real display: 4 % with a bent response."""
+    noise_share: float = 0.05
+    """Noise over modulation at which a plan must still tell its codes apart. Chosen: a dark part."""
+    confusion_sigmas: float = 3.7
+    """How many standard deviations of the noise the middle between two codes must be away. Chosen: noise
+    exceeds it at one pixel in 10,000."""
+    apart_px: float = 4.0
+    """Distance of coordinates from which on their codes must differ. Chosen: beyond the widest usual
+    blur."""
+    usual_blur_px: float = 0.7  # blur with which a plan is judged before anything is taken (chosen)
+
+
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
@@ -306,3 +343,4 @@ LAG = LagLimits()
 DRIFT = DriftLimits()
 NEIGHBOURS = NeighbourLimits()
 EDGES = EdgeLimits()
+CODES = CodeLimits()

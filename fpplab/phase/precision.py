@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fpplab.core.conventions import Axis, axis_length
+from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.plan import Plan
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.quality import coordinate_uncertainty
@@ -28,10 +29,12 @@ def uncertain_orders(decoded: Decoded, plan: Plan) -> dict[str, int] | None:
     """Count the pixels that their fringe order, too uncertain, leaves out, by the set at fault."""
     if decoded.uncertain_order is None:
         return None
-    counts = np.bincount(decoded.uncertain_order.ravel(), minlength=len(plan.fringes) + 1)[1:]
+    sets = (plan.fringe_part or plan).sets
+    counts = np.bincount(decoded.uncertain_order.ravel(), minlength=len(sets) + 1)[1:]
     causes: dict[str, int] = {}
-    for fringe, count in zip(plan.fringes, counts, strict=True):
+    for each, count in zip(sets, counts, strict=True):
         if count:
-            name = f"{fringe.axis} {fringe.stripes:g} stripes"
+            unit = " stripes" if isinstance(each, FringeSet) else ""
+            name = f"{each.coded_axis} {each.short_name}{unit}"
             causes[name] = causes.get(name, 0) + int(count)
     return causes

@@ -37,9 +37,10 @@ class WavelengthSequence:
 
 
 def wavelength_sequence(
-    plan: Plan, axis: Axis, source: str, interval_share: float | None = None
+    plan: Plan, axis: Axis, source: str, interval_share: float | None = None, unwrapping: str | None = None
 ) -> WavelengthSequence:
-    sets, method = plan.sets_along(axis), unwrapping_methods()[plan.unwrapping]
+    # `unwrapping` replaces the plan's method, where codes of other kinds tell the interval.
+    sets, method = plan.sets_along(axis), unwrapping_methods()[unwrapping or plan.unwrapping]
     units = [
         SyntheticWavelength(tuple(int(i == k) for i in range(len(sets))), plan.fringes[index].stripes)
         for k, index in enumerate(sets)
@@ -67,8 +68,12 @@ def check_unwrapping(
     plan: Plan, source: str, interval_shares: Mapping[Axis, float | None] | None = None
 ) -> None:
     """Refuse a plan that cannot be unwrapped, before anything is projected."""
-    for axis in plan.unwrapped_axes:
-        wavelength_sequence(plan, axis, source, (interval_shares or {}).get(axis))
+    # `check_codes` checks axes with codes of other kinds, for which it needs the projector.
+    part = plan.fringe_part
+    coded = {each.coded_axis for k, each in enumerate(plan.sets) if k not in plan.fringe_indices}
+    for axis in part.unwrapped_axes if part else ():
+        if part is not None and axis not in coded:
+            wavelength_sequence(part, axis, source, (interval_shares or {}).get(axis))
 
 
 def _trust(wavelengths: tuple[SyntheticWavelength, ...], images: list[int]) -> tuple[float, ...]:

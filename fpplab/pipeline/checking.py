@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from fpplab.acquisition.synchronisation import IMPORTED_REMEDY, check_synchronisation, synchronisation_remedy
 from fpplab.core.errors import DataError
-from fpplab.diagnosis.plan import check_plan_fit, describe_changing_brightness, name_other_patterns
+from fpplab.diagnosis.plan import (
+    check_plan_fit,
+    code_order_fault,
+    describe_changing_brightness,
+    name_other_patterns,
+)
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
 
@@ -16,7 +21,7 @@ def fault_in_step(recording: Recording) -> str | None:
         return None
     if not recording.is_imported:
         return f"{verdict.describe()}; {synchronisation_remedy(recording.plan)}"
-    sizes = [fringe.images for fringe in recording.plan.fringes]
+    sizes = [each.images for each in recording.plan.sets]
     images = recording.frames, recording.full_scale, sizes
     other = describe_changing_brightness(*images) or name_other_patterns(*images)
     return other or f"{verdict.describe()}; {IMPORTED_REMEDY}"
@@ -31,14 +36,14 @@ def require_in_step(recording: Recording) -> None:
 
 def plan_fault(recording: Recording) -> str | None:
     misfit = check_plan_fit(recording)
-    return misfit.fault if misfit else None
+    return misfit.fault if misfit else code_order_fault(recording)
 
 
 def doubts_about_session(session: Session) -> list[str]:
     """Look for signs that the frames of a session are not what its plan says."""
     recording = session.recording(verify=False)
     misfit = check_plan_fit(recording)
-    signs = [fault_in_step(recording)]
+    signs = [fault_in_step(recording), code_order_fault(recording)]
     if misfit:
         signs += [misfit.fault, misfit.note]
     return [f"{session.path}: {sign}" for sign in signs if sign]

@@ -7,7 +7,7 @@ from fpplab.core import config
 from fpplab.core.depth import DepthInterval, DepthRange, first_stated
 from fpplab.devices.rig import DepthSection, Rig
 from fpplab.patterns.plan import Plan
-from fpplab.phase import check_unwrapping
+from fpplab.phase import check_codes, check_unwrapping
 from fpplab.phase.bounds import widest_interval_share
 from fpplab.reconstruction.depth_range import decoding_bounds
 
@@ -39,4 +39,5 @@ def check_plan(
         (rig.file.depth_mm, f"{rig.source}: 'depth_mm'") if rig else (None, ""),
     )
     bounds, size = decoding_bounds(plan, calibration, depth), calibration.projector.size
+    check_codes(plan, size, source)
     check_unwrapping(plan, source, {axis: widest_interval_share(bounds, axis, size) for axis in plan.axes})

@@ -78,13 +78,14 @@ def apply_filter(
         limit = np.float32(rules.disagreement_max * max(1.0, decoded.typical_disagreement))
         _contradictory(decoded.disagreement, limit, grid.w, removed)
     across, down = _surface_links(grid)
-    phase_error = decoded.sigma_phase_error
-    _half_lit(
-        *(grid.a, grid.b, grid.w, grid.noise, across, down, decoded.modulation, decoded.sigma),
-        np.empty((0, 0), np.float32) if phase_error is None else phase_error,
-        # Times sigma this is the noise of the finest phase, and that of its modulation as a share of it.
-        *(plan.finest.phase_per_px(projector_size), rules.light_min, removed),
-    )
+    phase_error, fringes = decoded.sigma_phase_error, plan.fringe_part
+    if fringes:
+        _half_lit(
+            *(grid.a, grid.b, grid.w, grid.noise, across, down, decoded.modulation, decoded.sigma),
+            np.empty((0, 0), np.float32) if phase_error is None else phase_error,
+            # Times sigma this is the noise of the finest phase, and that of its modulation as a share of it.
+            *(fringes.finest.phase_per_px(projector_size), rules.light_min, removed),
+        )
     _erase(grid.w, removed)
     mark_small_regions(grid.w, across, down, rules.patch_min, removed, Rule.ISOLATED)
     _erase(grid.w, removed)

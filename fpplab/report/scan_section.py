@@ -54,8 +54,8 @@ class ScanSection:
 
     name: str  # of the object
     images: int  # number of images of the plan
-    frame: Image  # one raw frame [v, u] of the finest fringe set
-    wrapped: Wrapped  # wrapped phase of that set
+    frame: Image  # one raw frame [v, u] of the finest fringe set, or of a code
+    wrapped: Wrapped | None  # wrapped phase of that set; None where there are no fringes
     decoded: Decoded | None  # projector coordinates; None where there are none
     cloud: Cloud | None  # points; None where there are none
     comparison: Comparison | None = None  # with the true shape, where it is known
@@ -168,19 +168,22 @@ def _pictures_of_scan(scan: ScanSection) -> Iterator[ReportFigure]:
             "Modulation: the amplitude of the fringes.",
         )
     if decoded is not None and decoded.valid.any():
-        phase = np.where(decoded.valid, scan.wrapped.phase, np.float32(np.nan))
-        yield ReportFigure.of(
-            figures.wrapped_phase_figure(phase),
-            f"Map of the wrapped phase of the {name}",
-            "Wrapped phase of the finest set.",
-        )
+        if scan.wrapped is not None:
+            phase = np.where(decoded.valid, scan.wrapped.phase, np.float32(np.nan))
+            yield ReportFigure.of(
+                figures.wrapped_phase_figure(phase),
+                f"Map of the wrapped phase of the {name}",
+                "Wrapped phase of the finest set.",
+            )
         yield from _coordinates(name, decoded)
 
 
 def frame_figure(scan: ScanSection) -> ReportFigure:
     drawn = figures.camera_image(scan.frame, scan.bits)
-    alt = f"Camera image of the {scan.name} under the finest fringes"
-    return ReportFigure.of(drawn, alt, "One frame of the finest fringe set.")
+    shown = "finest fringes" if scan.wrapped is not None else "codes"
+    return ReportFigure.of(
+        drawn, f"Camera image of the {scan.name} under the {shown}", f"One frame of the {shown}."
+    )
 
 
 def relief_figure(name: str, cloud: Cloud) -> ReportFigure:

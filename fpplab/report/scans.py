@@ -24,16 +24,16 @@ def write_scan_report(path: Path, result: ScanResult) -> None:
 
 
 def scan_section(result: ScanResult, comparison: Comparison | None = None) -> ScanSection:
-    """Make the section of one scan: the finest fringes along the first axis, and the results."""
+    """Make the section of one scan: what its frames show, and the results."""
     session = result.session
     recording = session.recording(verify=False)
-    fringe, frames = recording.finest()
-    evidence = Evidence(recording, result.decoded, result.cloud, result.calibration)
+    fringes = recording.fringe_part
+    evidence = Evidence(fringes, result.decoded, result.cloud, result.calibration)
     return ScanSection(
         name=session.path.name,
         images=session.plan.images,
-        frame=frames[0],
-        wrapped=wrapped_phase(frames, fringe),
+        frame=recording.typical_frame,
+        wrapped=wrapped_phase(*fringes.finest()[::-1]) if fringes else None,
         decoded=result.decoded,
         cloud=result.cloud,
         comparison=comparison,

@@ -97,4 +97,6 @@ def _why_unknown(plan: Plan | None) -> str:
     )
     if plan is None:
         return f"{shared}the file does not hold it, or {pixels}, or {steps}."
-    return f"{shared}{pixels if show_common_errors(plan.fringes) else steps}."
+    return (
+        f"{shared}{pixels if plan.fringe_part and show_common_errors(plan.fringe_part.fringes) else steps}."
+    )

@@ -15,6 +15,7 @@ from fpplab.core.origin import Origin
 from fpplab.core.session_names import CALIBRATION
 from fpplab.core.units import readable_bytes
 from fpplab.devices.rig import Rig
+from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.origin import SessionOrigin, other_devices, session_origin, taken_at
 from fpplab.sessions.session import JOURNAL, Session
@@ -203,11 +204,14 @@ def calibration_values(
 def plan_description(plan: Plan) -> str:
     axes = []
     for axis in plan.axes:
-        sets = [plan.fringes[i] for i in plan.sets_along(axis)]
-        stripes = ", ".join(f"{fringe.stripes:g}" for fringe in sets)
+        sets = [each for each in plan.sets if each.coded_axis == axis]
+        fringes = sorted((s for s in sets if isinstance(s, FringeSet)), key=lambda each: each.stripes)
+        stripes = ", ".join(fringe.short_name for fringe in fringes)
+        steps = ", ".join(str(fringe.images) for fringe in fringes)
+        parts = [f"{stripes} stripes in {steps} steps"] if fringes else []
+        parts += [f"{s.short_name} in {s.images} images" for s in sets if not isinstance(s, FringeSet)]
         guided = ", guided by the geometry" if axis == plan.guided_axis else ""
-        steps = ", ".join(str(fringe.images) for fringe in sets)
-        axes.append(f"{axis}: {stripes} stripes in {steps} steps{guided}")
+        axes.append(f"{axis}: {' and '.join(parts)}{guided}")
     corrected = ", corrected for the response" if plan.response else ""
     return f"{'; '.join(axes)}; {plan.unwrapping}; {plan.trigger}{corrected}"
 

@@ -91,9 +91,9 @@ def plan_differences(scans: Sequence[ScanRecord]) -> dict[str, dict[str, str]]:
 def _plan_terms(plan: Plan) -> dict[str, str]:
     terms = {}
     for axis in plan.axes:
-        sets = [plan.fringes[index] for index in plan.sets_along(axis)]
-        terms[f"stripes along {axis}"] = ", ".join(f"{fringe.stripes:g}" for fringe in sets)
-        terms[f"images along {axis}"] = ", ".join(str(fringe.images) for fringe in sets)
+        sets = [each for each in plan.sets if each.coded_axis == axis]
+        terms[f"stripes along {axis}"] = ", ".join(each.short_name for each in sets)
+        terms[f"images along {axis}"] = ", ".join(str(each.images) for each in sets)
     terms["images"] = str(plan.images)
     return terms | {name: str(value) for name, value in config.plain(plan).items() if name != "fringes"}
 

@@ -43,7 +43,7 @@ def import_images(
     # projector_size (width, height) px
     check_bits(bits)
     rig = _projector_record(plan, projector_size, lattice)
-    images = _find_and_check_images(source, [fringe.images for fringe in plan.fringes], bits, warn, tell)
+    images = _find_and_check_images(source, [each.images for each in plan.sets], bits, warn, tell)
 
     def fill(session: Session) -> None:
         for index, ((_, _, pattern), image) in enumerate(zip(plan.steps(), images.read(), strict=True)):

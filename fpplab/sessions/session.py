@@ -494,10 +494,10 @@ class Session:
         DataError
             As `stack` and `projector`.
         """
-        size, _ = self.projector()
+        size, lattice = self.projector()
         self.plan.check_projector(size, self.path)
         frames = self.stack(verify, progress)
-        known = self.response(), self.depth, self.is_imported
+        known = self.response(), self.depth, self.is_imported, lattice
         return Recording(frames, self.plan, size, self.bits, str(self.path), *known)
 
     def response(self) -> Curve | None:

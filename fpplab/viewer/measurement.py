@@ -22,6 +22,7 @@ from fpplab.core.errors import FppError
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.robust import error_limit
 from fpplab.devices import Frame
+from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.fringes import pattern_image
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, Wrapped, wrapped_phase
@@ -140,11 +141,11 @@ class MeasurementView(CommandView):
 
     def _collect(self, frame: ShownFrame, plan: Plan, index: int, step: int) -> None:
         """Show the wrapped phase of a fringe set once its last frame is in."""
-        fringe, frames = plan.fringes[index], self._shown.frames
+        fringe, frames = plan.sets[index], self._shown.frames
         if step == 0:
             frames.clear()
         frames[step] = frame.image
-        if len(frames) == fringe.images:
+        if isinstance(fringe, FringeSet) and len(frames) == fringe.images:
             self._phase(wrapped_phase([frames[n] for n in range(fringe.images)], fringe), frame.bits)
 
     def _phase(self, wrapped: Wrapped, bits: int) -> None:

@@ -77,7 +77,7 @@ def read_scan(path: Path, name: str) -> ScanRecord:
     diagnosis, judged_at = _diagnosis(session, cloud, calibration)
     source = session_provenance(session, calibration).with_values(judged=judged_at)
     recording = session.recording(verify=False)
-    frame = recording.finest()[1][0], recording.bits
+    frame = recording.typical_frame, recording.bits
     return ScanRecord(name, source, cloud, calibration, diagnosis, frame, session.plan)
 
 

@@ -228,8 +228,9 @@ class _Sampled:
     def measured(self, seed: int) -> tuple[Decoded, Cloud]:
         settings = self.rig.camera_settings(self.plan.exposure_s, self.plan.bits)
         frames = self.sampler.frames(self.item, self.patterns, settings, self.rows, seed)
-        size, name = self.calibration.projector.size, f"the sample of the {self.item}"
-        recording = Recording(frames, self.plan, size, settings.bits, name)
+        projector, name = self.calibration.projector, f"the sample of the {self.item}"
+        size, lattice = projector.size, projector.lattice
+        recording = Recording(frames, self.plan, size, settings.bits, name, lattice=lattice)
         decoded = self._placed(decode(recording, bounds=self._bounds_of_rows()))
         return points_of(decoded, self.calibration, self.plan)
 

@@ -6,13 +6,20 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, characterise, finest_periods, judge, observe
+from fpplab.clouds import load_cloud, local_quadric_distance
+from fpplab.core import config
 from fpplab.core.conventions import Floats
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
 from fpplab.pipeline import decode_session
 from fpplab.reconstruction.points import triangulate
 from fpplab.sessions.session import Session, recorded_sessions
@@ -163,8 +170,6 @@ def test_the_skull_is_reconstructed(
     calibration: tuple[Path, dict],  # type: ignore[type-arg]
     tmp_path: Path,
 ) -> None:
-    from fpplab.clouds import load_cloud, local_quadric_distance
-
     skull = tmp_path / "skull"
     done = fpplab(
         "import", captures / "skull_2x3", "--plan", "plan_slstudio_skull", "--frames", "{index:02d}.png",
@@ -179,3 +184,65 @@ def test_the_skull_is_reconstructed(
     assert done.json["points"] >= 385_000
     distance = local_quadric_distance(load_cloud(skull / "cloud.ply"))
     assert np.nanmedian(np.abs(distance)) <= 0.12
+
+
+GRAY_SKULL = """
+fringes:
+  - {kind: even, levels: [1, 0], projector_size: [1824, 1140]}
+  - {kind: gray, axis: x, bits: 10, cell_px: 2, projector_size: [1824, 1140]}
+masks: {modulation_min: 3}
+"""
+
+
+@pytest.mark.whole
+def test_a_gray_code_measures_the_skull_as_fringes_do(
+    fpplab: Command,
+    captures: Path,
+    calibration: tuple[Path, dict],  # type: ignore[type-arg]
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "plan.yaml").write_text(GRAY_SKULL)
+    clouds = []
+    for name, plan in (("skull_gray", tmp_path / "plan.yaml"), ("skull_2x3", "plan_slstudio_skull")):
+        taken = fpplab(
+            "import", captures / name, "--plan", plan, "--frames", "{index:02d}.png", "--out", tmp_path / name
+        )
+        assert taken.code == 0, taken.err
+        cloud = tmp_path / f"{name}.ply"
+        done = fpplab(
+            "reconstruct", tmp_path / name, "--calibration", calibration[0], "--out", cloud, "--json"
+        )
+        assert done.code == 0, done.err
+        clouds.append((done.json, load_cloud(cloud)))
+    (told, gray), (_, fringes) = clouds
+    assert told["verdict"] == "unverified"
+    assert len(gray) >= 370_000
+    distance, _ = cKDTree(fringes.points).query(gray.points)
+    assert np.median(distance) <= 0.35
+
+
+@pytest.mark.whole
+def test_a_display_measures_by_gray_orders_and_by_two_periods(captures: Path) -> None:
+    """A translucent part: Gray code of cells of 100 px with inverses, three steps of 66.67 and 100 px."""
+    folder, size = captures.parent / "phase-shifting" / "object1", (1920, 1080)
+    frames = [cv2.imread(str(folder / f"{k:02d}.png"), cv2.IMREAD_GRAYSCALE) for k in range(32)]
+    coordinates = []
+    for periods in ((66.67, 100.0), (100.0,)):
+        sets: list[dict[str, object]] = []
+        images: list[int] = []
+        for axis, length, first, bits, codes in (("x", 1920, 0, 5, 12), ("y", 1080, 6, 4, 22)):
+            for period in periods:
+                start = first + (3 if period == 100.0 else 0)
+                origin = -np.pi / period - 2 * np.pi / 3
+                fringes = {"axis": axis, "stripes": length / period, "steps": 3, "shift_sign": -1}
+                sets.append({**fringes, "phase_origin_rad": origin})
+                images += range(start, start + 3)
+            sets.append({"kind": "gray", "axis": axis, "bits": bits, "cell_px": 100, "inverses": "each"})
+            images += range(codes, codes + 2 * bits)
+        plan = config.validate({"fringes": [*sets, {"kind": "even", "levels": [1, 0]}]}, Plan, "plan")
+        decoded = decode(Recording([frames[k] for k in (*images, 30, 31)], plan, size))
+        coordinates.append((decoded.u, decoded.v))
+    for two, one in zip(*coordinates, strict=True):
+        both = np.isfinite(two) & np.isfinite(one)
+        assert both.sum() > 1_000_000
+        assert np.mean(np.abs(two - one)[both] < 50.0) > 0.999

@@ -116,8 +116,10 @@ def test_a_sinusoid_needs_no_kind_and_tells_none() -> None:
 
 
 def test_an_unknown_kind_lists_the_known() -> None:
-    wrong = {"fringes": [{"kind": "gray", "axis": "x", "stripes": 1, "steps": 4}]}
-    with pytest.raises(ConfigError, match=r"'fringes\[0\]' .*must have a 'kind' of sinusoid"):
+    wrong = {"fringes": [{"kind": "grey", "axis": "x", "stripes": 1, "steps": 4}]}
+    with pytest.raises(
+        ConfigError, match=r"'fringes\[0\]' .*must have a 'kind' of even, files, gray, shifted, sinusoid"
+    ):
         config.validate(wrong, Plan, "plan")
 
 

@@ -145,8 +145,8 @@ def check_plan_fit(
     recording: Recording, limits: DiagnosisLimits = USUAL_LIMITS, calibration: Calibration | None = None
 ) -> PlanCheck | None:
     """Ask the images of a recording whether their plan describes them."""
-    sets = tuple(s for s in recording.plan.fringes if isinstance(s, Sinusoid))
-    if len(sets) < len(recording.plan.fringes):
+    sets = tuple(s for s in recording.plan.sets if isinstance(s, Sinusoid))
+    if len(sets) < len(recording.plan.sets):
         return None
     check_limits = limits.of(PlanCheckLimits)
     sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale, check_limits)

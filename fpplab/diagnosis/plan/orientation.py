@@ -143,9 +143,9 @@ def check_orientation(
     recording: Recording, calibration: Calibration, limits: DiagnosisLimits = USUAL_LIMITS
 ) -> OrientationCheck | None:
     """Try every explanation of coordinates that run against a calibration."""
-    sets = tuple(s for s in recording.plan.fringes if isinstance(s, Sinusoid))
+    sets = tuple(s for s in recording.plan.sets if isinstance(s, Sinusoid))
     check_limits = limits.of(PlanCheckLimits)
-    if len(sets) < len(recording.plan.fringes):
+    if len(sets) < len(recording.plan.sets):
         return None
     sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale, check_limits)
     if sample is None:

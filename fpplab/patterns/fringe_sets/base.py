@@ -1,9 +1,11 @@
-"""What every kind of fringe set is: images of `stripes` periods along an axis that together give a phase.
+"""What every kind of a plan's sets is: images that a projector shows one after the other.
 
-A kind is a file of this package with one class. It owns its patterns (`level`), its contribution to decoding
-(`demodulation`), what a pixel may see of it when everything is in step (`waves`), its part of
-a plan file (its fields) and its documentation (their docstrings). Plans, decoding and the proof of
-synchronisation take it through this class alone.
+A kind is a file of this package with one class. It owns its patterns (`light`), what a pixel may see of it
+when everything is in step (`waves`), its part of a plan file (its fields) and its documentation (their
+docstrings). Plans, decoding and the proof of synchronisation take it through these classes alone.
+
+`PatternSet` is any set. A `CodeSet` is one whose light depends on the coordinate along one axis. A
+`FringeSet` is a code of `stripes` equal periods whose images together give a phase (`demodulation`).
 """
 
 from __future__ import annotations
@@ -56,32 +58,130 @@ class Demodulation:
     origin_rad: float
 
 
-class FringeSet(Document):
-    """One set of fringe images: `stripes` periods across the projector along `axis`.
+class PatternSet(Document):
+    """Images of one kind, one after the other.
 
     Examples
     --------
-    A kind of its own needs its fields, `images`, `phase_shifts` and what is abstract here::
+    A kind of its own needs its fields and what is abstract here::
 
-        class Reordered(FringeSet):
-            kind: Literal["reordered"]
-            order: tuple[int, ...]
+        class Checks(CodeSet):
+            kind: Literal["checks"]
+            cells: int
             ...
     """
 
-    axis: Axis
-    """Projector axis that the set codes: x for columns, y for rows."""
-
-    stripes: Annotated[float, Field(gt=0)]
-    """Periods across the whole projector along the axis; may be fractional."""
-
     projector_size: tuple[Width, Width] | None = None
-    """(width, height) in px of the projector that the fringes were made for, where no rig says so."""
+    """(width, height) in px of the projector that the images were made for, where no rig says so."""
+
+    @property
+    def coded_axis(self) -> Axis | None:
+        """The projector axis along which the light changes; None where it is even."""
+        return None
 
     @property
     @abstractmethod
     def images(self) -> int:
-        """How many images the set has, N, at least 3."""
+        """How many images the set has, N."""
+
+    @abstractmethod
+    def light(self, step: int, coordinate: Floats, length: int) -> Floats:
+        """Give the light of one image at projector coordinates, as it is shown.
+
+        Parameters
+        ----------
+        step : int
+            Index of the image in the set, 0 … N-1.
+        coordinate : ndarray of float64
+            Along the coded axis in px, any shape.
+        length : int
+            Of the projector along that axis in px.
+
+        Returns
+        -------
+        ndarray of float64
+            Light in [0, 1], shaped as `coordinate`.
+        """
+
+    def level(self, step: int, size: tuple[int, int], lattice: Lattice) -> Floats:
+        """Give one image as light, not quantised.
+
+        Parameters
+        ----------
+        step : int
+            Index of the image in the set, 0 … N-1.
+        size : tuple of int
+            (width, height) of the projector in mirrors.
+        lattice : Lattice
+            How the mirrors lie.
+
+        Returns
+        -------
+        ndarray of float64, (height, width)
+            Light in [0, 1].
+        """
+        u, v = mirror_centres(size, lattice)
+        axis = self.coded_axis or "x"
+        return self.light(step, u if axis == "x" else v, axis_length(size, axis))
+
+    def waves(self, harmonics: int) -> Floats:
+        """Give what a pixel may see of the set besides its offset: the proof of synchronisation's axes.
+
+        Parameters
+        ----------
+        harmonics : int
+            Harmonics of a fringe that the response may leave, at least 1.
+
+        Returns
+        -------
+        ndarray of float64, (N, M)
+            By default every image may have any level, which proves nothing.
+        """
+        return np.eye(self.images)
+
+    def pattern_id(self, index: int, step: int) -> str:
+        """Name an image of the plan's set `index`, such as `02-x-64-003of12`; files are named by it."""
+        name = "-".join(filter(None, (self.coded_axis, self.short_name)))
+        return f"{index:02d}-{name}-{step:03d}of{self.images}"
+
+    @property
+    @abstractmethod
+    def short_name(self) -> str:
+        """What tells the set from others in names of patterns and lists, letters and digits."""
+
+    def fault(self, length: int) -> str | None:
+        """Say why a projector cannot show the set, or a plan not use it; None where it can.
+
+        Parameters
+        ----------
+        length : int
+            Of the projector along the coded axis in px.
+
+        Returns
+        -------
+        str or None
+            A field with its value, and what is allowed.
+        """
+        return None
+
+
+class CodeSet(PatternSet):
+    """Images whose light depends on the coordinate along one axis."""
+
+    axis: Axis
+    """Projector axis that the set codes: x for columns, y for rows."""
+
+    @property
+    def coded_axis(self) -> Axis | None:
+        """The axis of the set."""
+        return self.axis
+
+
+class FringeSet(CodeSet):
+    """One set of fringe images: `stripes` periods across the projector along `axis`."""
+
+    stripes: Annotated[float, Field(gt=0)]
+    """Periods across the whole projector along the axis; may be fractional."""
 
     @property
     def phase_noise(self) -> float:
@@ -131,46 +231,28 @@ class FringeSet(Document):
             Light in [0, 1], shaped as `phase`; neither clipped nor short of the range.
         """
 
-    def level(self, step: int, size: tuple[int, int], lattice: Lattice) -> Floats:
-        """Give one image as light, not quantised.
-
-        Parameters
-        ----------
-        step : int
-            Index of the image in the set, 0 … N-1.
-        size : tuple of int
-            (width, height) of the projector in mirrors.
-        lattice : Lattice
-            How the mirrors lie.
-
-        Returns
-        -------
-        ndarray of float64, (height, width)
-            Light in [0, 1].
-        """
-        u, v = mirror_centres(size, lattice)
-        coordinate, length = (u if self.axis == "x" else v), axis_length(size, self.axis)
+    def light(self, step: int, coordinate: Floats, length: int) -> Floats:
+        """Give `wave` at the phase of each coordinate."""
         return self.wave(phase_of_coordinate(coordinate, self.stripes, length), step)
 
     def waves(self, harmonics: int) -> Floats:
-        """Give what a pixel may see of the set besides its offset: the proof of synchronisation's axes.
-
-        Parameters
-        ----------
-        harmonics : int
-            Harmonics of the fringe that the response may leave, at least 1.
-
-        Returns
-        -------
-        ndarray of float64, (N, 2 * harmonics)
-            Cosine and sine of every harmonic at every image.
-        """
+        """Give cosine and sine of every harmonic at every image, (N, 2 * harmonics)."""
         shift = np.outer(self.phase_shifts(), np.arange(1, harmonics + 1))
         return np.asarray(np.stack([np.cos(shift), np.sin(shift)], axis=-1).reshape(self.images, -1))
 
-    def pattern_id(self, index: int, step: int) -> str:
-        """Name an image of the plan's set `index`, such as `02-x-64-003of12`; files are named by it."""
-        return f"{index:02d}-{self.axis}-{self.stripes:g}-{step:03d}of{self.images}"
+    @property
+    def short_name(self) -> str:
+        """Its stripes."""
+        return f"{self.stripes:g}"
+
+    def fault(self, length: int) -> str | None:
+        """Refuse stripes that the projector cannot resolve."""
+        if self.stripes <= length / 2:
+            return None
+        return (
+            f"stripes' is {self.stripes:g}: more than half of the projector's {length} pixels along "
+            f"{self.axis}; at most {length / 2:g}"
+        )
 
 
 def indices_along(sets: Sequence[FringeSet], axis: Axis) -> tuple[int, ...]:

@@ -256,7 +256,7 @@ def _take_frames(rig: Rig, plan: Plan, progress: Progress) -> Recording:
         for shot in shots:
             frames.append(shot.image)
             progress(len(frames) / len(patterns))
-    return Recording(frames, plan, caps.size, settings.bits, "check")
+    return Recording(frames, plan, caps.size, settings.bits, "check", lattice=caps.lattice)
 
 
 def _decoded_alone(recording: Recording) -> Decoded | None:

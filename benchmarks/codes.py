@@ -1,0 +1,158 @@
+"""Codes of other kinds than fringes: spread beside its bound, chance of error, orders, and speed.
+
+Frames are made by the codes' formulas from known coordinates, with a Gaussian blur and noise.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from benchmarks import Result, above, below
+from fpplab.core import config
+from fpplab.core.conventions import Floats, Lattice
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from fpplab.phase.code_decoding import decode_codes
+from fpplab.phase.code_table import code_table
+from fpplab.phase.coded_axes import sets_of_axis
+
+SIZE, SHAPE = (912, 1140), (200, 400)
+MODULATION, DARK, BLUR_PX, BITS = 60.0, 30.0, 0.7, 12
+RATIOS = (10.0, 20.0, 50.0)  # modulation over noise
+WITHIN = 1.1  # spread over its bound
+EVEN: dict[str, Any] = {"kind": "even", "levels": [1, 0]}
+MICRO_STRIPES = (
+    40.3,
+    34.8,
+    47.4,
+    30.8,
+    36.4,
+    50.1,
+    36.0,
+)  # drawn, of which the nearest codes are farthest apart
+FEW = slice(0, 5)  # of its sets, which noise confuses
+
+
+def _micro(stripes: tuple[float, ...]) -> list[dict[str, Any]]:
+    shifts = [[0, 120, 240], *([0] for _ in stripes[1:])]
+    return [
+        {"kind": "shifted", "axis": "x", "stripes": count, "shifts_deg": angles}
+        for count, angles in zip(stripes, shifts, strict=True)
+    ]
+
+
+CODES = {
+    "gray_12_images": [EVEN, {"kind": "gray", "axis": "x", "bits": 10}],
+    "gray_with_inverses": [{"kind": "gray", "axis": "x", "bits": 10, "inverses": "each"}],
+    "micro_9_images": _micro(MICRO_STRIPES),
+}
+
+
+def run() -> list[Result]:
+    """Measure every code at several levels of noise; a minute on a quiet core."""
+    results = []
+    for seed, (name, sets) in enumerate(CODES.items(), start=39_000):
+        for ratio in RATIOS:
+            results += _spread(name, sets, ratio, seed)
+    return [*results, *_chance_of_error(), *_orders(), _speed()]
+
+
+def _light(plan: Plan, coordinate: Floats) -> Floats:
+    """What every image shows at coordinates, (K, ...)."""
+    fine = np.arange(-8 + 1 / 64, SIZE[0] + 8, 1 / 32)
+    shown = (each.light(step, fine, SIZE[0]) for each in plan.sets for step in range(each.images))
+    blurred = (gaussian_filter1d(light, 32 * BLUR_PX, mode="nearest") for light in shown)
+    return np.array([np.interp(coordinate, fine, light) for light in blurred])
+
+
+def _recorded(sets: list[dict[str, Any]], ratio: float, seed: int) -> tuple[Floats, Recording]:
+    plan = config.validate({"fringes": sets}, Plan, "benchmark")
+    random = np.random.default_rng(seed)
+    coordinate = random.uniform(6, SIZE[0] - 7, SHAPE)
+    levels = DARK + 2 * MODULATION * _light(plan, coordinate)
+    levels += random.normal(0, MODULATION / ratio, levels.shape)
+    full = 2**BITS - 1
+    frames = np.rint(np.clip(levels, 0, 255) * full / 255).astype(np.uint16)
+    return coordinate, Recording(list(frames), plan, SIZE, bits=BITS)
+
+
+def _bound(plan: Plan, coordinate: Floats, ratio: float) -> Floats:
+    """Cramér and Rao's bound where offset and modulation are unknown, in px."""
+    step = 0.05
+    slope = (_light(plan, coordinate + step) - _light(plan, coordinate - step)) / (2 * step)
+    light = _light(plan, coordinate)
+    slope, light = slope - slope.mean(axis=0), light - light.mean(axis=0)
+    unit = light / np.linalg.norm(light, axis=0)
+    slope -= np.sum(slope * unit, axis=0) * unit
+    return np.asarray(1.0 / (2.0 * ratio * np.linalg.norm(slope, axis=0)))
+
+
+def _spread(name: str, sets: list[dict[str, Any]], ratio: float, seed: int) -> list[Result]:
+    coordinate, recording = _recorded(sets, ratio, seed)
+    decoded = decode(recording)
+    error = (decoded.u - coordinate)[decoded.valid]
+    bound = _bound(recording.plan, coordinate, ratio)[decoded.valid]
+    spread, limit = (float(np.sqrt(np.mean(part**2))) for part in (error, bound))
+    stated = float(np.sqrt(np.mean((error / decoded.sigma[decoded.valid]) ** 2)))
+    label = f"{name}_at_{ratio:g}"
+    return [
+        below(f"spread_{label}", spread, "px", WITHIN * limit),
+        below(f"error_over_stated_{label}", stated, "", WITHIN),
+        above(f"measured_{label}", float(decoded.valid.mean()), "", 0.95),
+    ]
+
+
+def _chance_of_error() -> list[Result]:
+    """Compare the stated chance of another coordinate with how often it is another one."""
+    coordinate, recording = _recorded(_micro(MICRO_STRIPES)[FEW], RATIOS[0], 39_100)
+    coded = decode_codes(recording, "x", sets_of_axis(recording.plan, "x", with_fringes=True))
+    wrong = float(np.mean(np.abs(coded.coordinate - coordinate) > 3.0))
+    stated = float(np.mean(1.0 / (1.0 + np.exp(0.5 * np.minimum(coded.gap, 200.0)))))
+    return [
+        below("chance_of_error_stated", stated, "", 2.0 * wrong),
+        above("chance_of_error_stated_at_least", stated, "", 0.5 * wrong),
+    ]
+
+
+def _orders() -> list[Result]:
+    """Give fringes their orders by Gray cells of a period and of half a period."""
+    results = []
+    for name, cell_px, bits in (("period", 16.0, 6), ("half_period", 8.0, 7)):
+        gray = {"kind": "gray", "axis": "x", "bits": bits, "cell_px": cell_px}
+        sets = [EVEN, gray, {"axis": "x", "stripes": 57.0, "steps": 4}]
+        coordinate, recording = _recorded(sets, RATIOS[1], 39_200 + bits)
+        decoded = decode(recording)
+        wrong = np.abs(decoded.u - coordinate)[decoded.valid] > 0.5 * SIZE[0] / 57.0
+        results += [
+            above(f"measured_by_cells_of_a_{name}", float(decoded.valid.mean()), "", 0.97),
+            below(f"wrong_orders_by_cells_of_a_{name}", float(wrong.mean()), "", 1e-4),
+        ]
+    return results
+
+
+def _speed() -> Result:
+    """Time the decoder beside correlation with every coordinate of the grid in NumPy, in blocks."""
+    _, recording = _recorded(CODES["micro_9_images"], RATIOS[1], 39_300)
+    sets = sets_of_axis(recording.plan, "x", with_fringes=True)
+    decode_codes(recording, "x", sets)  # compiles
+    begin = time.process_time()
+    decode_codes(recording, "x", sets)
+    product = time.process_time() - begin
+    begin = time.process_time()
+    _correlate(recording)
+    return below("seconds_of_decoder", product, "s", time.process_time() - begin)
+
+
+def _correlate(recording: Recording) -> Floats:
+    table = code_table(recording.plan.sets, "x", SIZE, Lattice.SQUARE, BLUR_PX)
+    codes = (table.light / np.maximum(table.scale, 1e-6)[:, None]).T
+    levels = np.stack([frame.ravel() for frame in recording.frames], axis=1).astype(np.float32)
+    levels -= levels.mean(axis=1, keepdims=True)
+    blocks = np.array_split(levels, max(1, len(levels) // 4096))
+    best = np.concatenate([np.argmax(block @ codes, axis=1) for block in blocks])
+    return np.asarray(table.coordinate[best])

@@ -1,0 +1,35 @@
+"""Even light: white, black or grey images, which tell a pixel's brightest and darkest levels."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from fpplab.core.conventions import Floats
+from fpplab.patterns.fringe_sets.base import PatternSet
+
+
+class Even(PatternSet):
+    """Images of the same light everywhere, one for each level, such as white and black."""
+
+    kind: Literal["even"] = "even"
+    """`even`."""
+
+    levels: Annotated[tuple[Annotated[float, Field(ge=0, le=1)], ...], Field(min_length=1, max_length=256)]
+    """Light of each image: 1 is white, 0 is black."""
+
+    @property
+    def images(self) -> int:
+        """How many images the set has."""
+        return len(self.levels)
+
+    def light(self, step: int, coordinate: Floats, length: int) -> Floats:
+        """Give the level of the image everywhere."""
+        return np.full(np.shape(coordinate), self.levels[step])
+
+    @property
+    def short_name(self) -> str:
+        """`even`."""
+        return "even"
