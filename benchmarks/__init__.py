@@ -42,9 +42,11 @@ SHARED = ("hidden", "limit_decoding", "limit_lattice", "limit_noise", "optimise_
 
 
 LONG = (
+    "correction",
     "crash",
     "explanations",
     "image_faults",
+    "lengths",
     "optimise",
     "outside",
     "predict",

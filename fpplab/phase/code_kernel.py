@@ -98,89 +98,16 @@ def _newton(levels: Any, at: int, best: float, light: Any, scale: Any, slope: An
 
 
 @compiled
-def search_codes(
-    levels: Any,
-    used: Any,
-    ranges: Any,
-    table: Any,
-    noise: Any,
-    out: Any,
-) -> None:
-    """Find the likeliest coordinate of P pixels.
-
-    levels (P, K) grey levels; used (P,); ranges (P, 2) of candidates; table (candidates, start, coordinate,
-    light, scale, slope); noise (variance at level 0, per level, hull's χ², power of surprising
-    residuals); out (P, 9) becomes coordinate, its variance, modulation, offset, misfit's χ², χ² by which the
-    runner-up is worse, the ends of the interval of coordinates whose χ² is within the hull's, and the
-    logarithm of the likelihood of the code at any coordinate.
-    """
-    candidates, start, coordinate, light, scale, slope = table
-    images, freedom = levels.shape[1], max(levels.shape[1] - 3, 1)
-    scores, x = np.empty(candidates.shape[1], np.float32), np.empty(images, np.float32)
-    step = coordinate[1] - coordinate[0]
-    for p in range(len(levels)):
-        out[p, :] = np.nan
-        first, last = ranges[p, 0], ranges[p, 1]
-        if not used[p] or last <= first:
-            continue
-        mean = 0.0
-        for k in range(images):
-            mean += levels[p, k]
-        mean /= images
-        power = 0.0
-        for k in range(images):
-            x[k] = np.float32(levels[p, k] - mean)
-            power += x[k] * x[k]
-        _scores(x, candidates, first, last, scores)
-        c = _best_in(scores, first, last)
-        low, high = _lobe(scores, c, first, last)
-        at, best = _climbed(x, (start[c] + start[c + 1] - 1) // 2, start[low], start[high], light, scale)
-        if best <= 0.0:
-            continue
-        runner_up = 0.0
-        if low > first:
-            other = _best_in(scores, first, low)
-            runner_up = max(runner_up, _refined(x, other, first, low, scores, start, light, scale))
-        if high < last:
-            other = _best_in(scores, high, last)
-            runner_up = max(runner_up, _refined(x, other, high, last, scores, start, light, scale))
-        shift, square = _newton(x, at, best, light, scale, slope)
-        if abs(shift) > 2.0 * step:
-            square = 0.0
-        peak = best * best + shift * shift * square
-        left = max(power - peak, 0.0)
-        expected = noise[0] + noise[1] * mean
-        # A pixel's own misfit tells its variance only where chance hardly explains it.
-        variance = left / freedom if left > noise[3] * freedom * expected else expected
-        # The interval of coordinates that noise does not exclude, and the moments of what is likely in it.
-        reach, begin, end = peak - noise[2] * variance, low, high
-        while begin < c and (scores[begin] < 0.0 or scores[begin] * scores[begin] < reach):
-            begin += 1
-        while end > c + 1 and (scores[end - 1] < 0.0 or scores[end - 1] * scores[end - 1] < reach):
-            end -= 1
-        total, first_moment, second_moment = 0.0, 0.0, 0.0
-        lower, upper = min(start[begin], at), max(start[end], at + 1)
-        for n in range(lower, upper):
-            value = _correlation(x, n, light, scale)
-            if n == at or (value > 0.0 and value * value >= reach):
-                weight = np.exp(0.5 * (value * value - peak) / variance)
-                away = coordinate[n] - coordinate[at]
-                total += weight
-                first_moment += weight * away
-                second_moment += weight * away * away
-        first_moment /= total
-        spread = second_moment / total - first_moment * first_moment + step * step / 12.0
-        if square > 0.0 and variance / square < step * step and spread < 4.0 * step * step:
-            out[p, 0], out[p, 1] = coordinate[at] + shift, variance / square
-            volume = np.sqrt(2.0 * np.pi * variance / square)  # of a peak that the grid is too coarse for
-        else:
-            out[p, 0], out[p, 1] = coordinate[at] + first_moment, spread
-            volume = total * step
-        out[p, 8] = np.log(volume) - 0.5 * min(left / expected, noise[3] * freedom)
-        out[p, 2], out[p, 3] = 0.5 * best / scale[at], mean
-        out[p, 4] = left / freedom / max(expected, 1e-9)
-        out[p, 5] = (peak - runner_up * runner_up) / variance
-        out[p, 6], out[p, 7] = coordinate[lower] - 0.5 * step, coordinate[upper - 1] + 0.5 * step
+def _without_mean(levels: Any, x: Any) -> tuple[float, float]:
+    """Take the mean off the levels of one pixel; the mean, and the sum of squares that is left."""
+    mean, power = 0.0, 0.0
+    for k in range(len(x)):
+        mean += levels[k]
+    mean /= len(x)
+    for k in range(len(x)):
+        x[k] = np.float32(levels[k] - mean)
+        power += x[k] * x[k]
+    return mean, power
 
 
 @compiled
@@ -191,3 +118,98 @@ def _refined(x: Any, c: int, first: int, last: int, scores: Any, start: Any, lig
     low, high = max(c - 1, first), min(c + 2, last)
     middle = (start[c] + start[c + 1] - 1) // 2
     return _climbed(x, middle, start[low], start[high], light, scale)[1]
+
+
+@compiled
+def _runner_up(
+    x: Any, first: int, last: int, low: int, high: int, scores: Any, start: Any, light: Any, scale: Any
+) -> float:
+    """Greatest correlation elsewhere than in the lobe from `low` to `high`."""
+    greatest = 0.0
+    if low > first:
+        other = _best_in(scores, first, low)
+        greatest = _refined(x, other, first, low, scores, start, light, scale)
+    if high < last:
+        other = _best_in(scores, high, last)
+        greatest = max(greatest, _refined(x, other, high, last, scores, start, light, scale))
+    return greatest
+
+
+@compiled
+def _hull(scores: Any, c: int, low: int, high: int, reach: float) -> tuple[int, int]:
+    """Candidates about the best one from the first to the last that noise does not exclude."""
+    while low < c and (scores[low] < 0.0 or scores[low] * scores[low] < reach):
+        low += 1
+    while high > c + 1 and (scores[high - 1] < 0.0 or scores[high - 1] * scores[high - 1] < reach):
+        high -= 1
+    return low, high
+
+
+@compiled
+def _moments(
+    x: Any, at: int, low: int, high: int, peak: float, hull: float, variance: float, table: Any
+) -> tuple[float, float, float]:
+    """Sum of the likelihoods over grid points, with the mean distance from one of them and its variance."""
+    _, _, coordinate, light, scale, _ = table
+    total, first, second = 0.0, 0.0, 0.0
+    for n in range(low, high):
+        value = _correlation(x, n, light, scale)
+        lost = peak - value * value
+        if n == at or (value > 0.0 and lost <= hull * variance):
+            weight = np.exp(-0.5 * lost / variance)
+            away = coordinate[n] - coordinate[at]
+            total += weight
+            first += weight * away
+            second += weight * away * away
+    first /= total
+    return total, first, second / total - first * first
+
+
+@compiled
+def search_codes(levels: Any, used: Any, ranges: Any, table: Any, noise: Any, out: Any) -> None:
+    """Find the likeliest coordinate of P pixels.
+
+    levels (P, K) grey levels; used (P,); ranges (P, 2) of candidates; table (candidates, start, coordinate,
+    light, scale, slope); noise (variance at level 0, per level, hull's χ², power of surprising
+    residuals); out (P, 9) becomes coordinate, its variance, modulation, offset, misfit's χ², χ² by which the
+    runner-up is worse, the ends of the interval of coordinates whose χ² is within the hull's, and the
+    logarithm of the likelihood of the code at any coordinate.
+    """
+    candidates, start, coordinate, light, scale, slope = table
+    freedom, step = max(levels.shape[1] - 3, 1), coordinate[1] - coordinate[0]
+    scores, x = np.empty(candidates.shape[1], np.float32), np.empty(levels.shape[1], np.float32)
+    for p in range(len(levels)):
+        out[p, :] = np.nan
+        first, last = ranges[p, 0], ranges[p, 1]
+        if not used[p] or last <= first:
+            continue
+        mean, power = _without_mean(levels[p], x)
+        _scores(x, candidates, first, last, scores)
+        c = _best_in(scores, first, last)
+        low, high = _lobe(scores, c, first, last)
+        at, best = _climbed(x, (start[c] + start[c + 1] - 1) // 2, start[low], start[high], light, scale)
+        if best <= 0.0:
+            continue
+        runner_up = _runner_up(x, first, last, low, high, scores, start, light, scale)
+        shift, square = _newton(x, at, best, light, scale, slope)
+        if abs(shift) > 2.0 * step:
+            square = 0.0
+        peak = best * best + shift * shift * square
+        left, expected = max(power - peak, 0.0), noise[0] + noise[1] * mean
+        # A pixel's own misfit tells its variance only where chance hardly explains it.
+        variance = left / freedom if left > noise[3] * freedom * expected else expected
+        begin, end = _hull(scores, c, low, high, peak - noise[2] * variance)
+        lower, upper = min(start[begin], at), max(start[end], at + 1)
+        total, away, spread = _moments(x, at, lower, upper, peak, noise[2], variance, table)
+        spread += step * step / 12.0
+        if square > 0.0 and variance / square < step * step and spread < 4.0 * step * step:
+            out[p, 0], out[p, 1] = coordinate[at] + shift, variance / square
+            volume = np.sqrt(2.0 * np.pi * variance / square)  # of a peak that the grid is too coarse for
+        else:
+            out[p, 0], out[p, 1] = coordinate[at] + away, spread
+            volume = total * step
+        out[p, 8] = np.log(volume) - 0.5 * min(left / expected, noise[3] * freedom)
+        out[p, 2], out[p, 3] = 0.5 * best / scale[at], mean
+        out[p, 4] = left / freedom / max(expected, 1e-9)
+        out[p, 5] = (peak - runner_up * runner_up) / variance
+        out[p, 6], out[p, 7] = coordinate[lower] - 0.5 * step, coordinate[upper - 1] + 0.5 * step

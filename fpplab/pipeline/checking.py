@@ -21,6 +21,8 @@ def fault_in_step(recording: Recording) -> str | None:
         return None
     if not recording.is_imported:
         return f"{verdict.describe()}; {synchronisation_remedy(recording.plan)}"
+    if recording.fringe_part is not recording:  # the others know sinusoids alone
+        return f"{verdict.describe()}; {IMPORTED_REMEDY}"
     sizes = [each.images for each in recording.plan.sets]
     images = recording.frames, recording.full_scale, sizes
     other = describe_changing_brightness(*images) or name_other_patterns(*images)

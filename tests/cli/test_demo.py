@@ -11,7 +11,7 @@ import pytest
 import yaml
 from PIL import Image as Pillow
 
-from fpplab import Session, compare, load_cloud, load_mesh
+from fpplab import Decoded, Session, compare, decode, load_cloud, load_mesh
 from tests.support.commands import Command, Demo
 
 COMPARED = {"smcd_um", "smcd_floor_um", "surface_smcd_um", "completeness"}
@@ -217,3 +217,32 @@ def test_view_writes_a_recording(fpplab: Command, demo: Demo, tmp_path: Path) ->
     done = fpplab("view", demo.folder / "pyramid", "--out", out, "--json")
     assert done.code == 0, done.err
     assert out.stat().st_size > 100_000
+
+
+CODES = """
+fringes:
+  - {kind: even, levels: [1, 0]}
+  - {kind: gray, axis: x, bits: 10}
+  - {kind: gray, axis: y, bits: 11}
+"""
+
+
+def test_a_scan_by_gray_codes_gives_the_points_of_fringes(
+    fpplab: Command, demo: Demo, tmp_path: Path
+) -> None:
+    """On a diamond lattice, whose second rows show the edges of columns half a column further."""
+    (tmp_path / "codes.yaml").write_text(CODES)
+    scanned = fpplab(
+        "scan", "--rig", "rig_demo_quick", "--item", "pyramid", "--plan", tmp_path / "codes.yaml",
+        "--calibration", demo.folder / "calibration.yaml", "--out", tmp_path / "codes", "--json",
+    )  # fmt: skip
+    assert scanned.code == 0, scanned.err
+    assert scanned.json["verdict"] == "unverified"
+    assert any("only fringes show flicker" in text for text in scanned.json["unverified"])
+    codes = decode(Session.open(tmp_path / "codes").recording())
+    fringes = Decoded.load(demo.folder / "pyramid" / "decoded.npz")
+    both = codes.valid & fringes.valid
+    assert both.sum() > 0.9 * fringes.valid.sum()
+    off = ((codes.u - fringes.u) / np.hypot(codes.sigma, fringes.sigma_total))[both]
+    assert abs(np.median(off)) < 0.2
+    assert np.median(np.abs(off)) / 0.6745 < 1.3

@@ -1,4 +1,4 @@
-"""Name images that no set of sinusoids with equal steps has: white, black, Gray code, unequal steps."""
+"""Name images of a plan of sinusoids that are none with equal steps: white, black, Gray code, others."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ def name_other_patterns(
         others = [k for k, kind in enumerate(kinds) if kind is not None]
         ranges = ",".join(_range(run) for run in _runs_of_successive_numbers(others))
         return (
-            f"{'; '.join(descriptions)}: only phase-shifted sinusoids are decoded; leave these images out "
-            f"with '--skip {ranges}', where the sinusoids alone suffice, and count them from 0"
+            f"{'; '.join(descriptions)}: the plan has sinusoids in their place; describe them as 'gray' or "
+            f"'even' sets (docs/how-to/other-codes.md), or leave them out with '--skip {ranges}', where the "
+            "sinusoids alone suffice; images count from 0"
         )
     return _describe_unequal_steps(levels, sizes, limits)
 
@@ -131,8 +132,8 @@ def _describe_unequal_steps(levels: Floats, sizes: Sequence[int], limits: GuessL
     if not sentences:
         return None
     return (
-        f"{'; '.join(sentences)}: only sets with equal steps are decoded; leave images out by '--skip', so "
-        "that equal steps remain, or record the set again"
+        f"{'; '.join(sentences)}: describe such a set as 'kind: shifted' with these 'shifts_deg', or leave "
+        "images out by '--skip', so that equal steps remain"
     )
 
 
