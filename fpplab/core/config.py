@@ -120,6 +120,9 @@ def describe(error: ValidationError, data: Any = None, model: type[Document] | N
     """Describe the faults of a validation in one sentence; `model` tells which keys may have been meant."""
     # A misspelt key is both unknown and missing: what the operator wrote comes first.
     details: list[Any] = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    # A list whose entries are wrong seems too short as well, for it counts the right ones alone.
+    parents = {d["loc"][:depth] for d in details for depth in range(len(d["loc"]))}
+    details = [d for d in details if d["type"] != "too_short" or d["loc"] not in parents]
     if data is not None:
         details = [_fault_in_document(detail, data) for detail in details]
     unknown = [_field(d["loc"]) for d in details if d["type"] == "extra_forbidden"]

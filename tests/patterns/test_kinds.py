@@ -123,6 +123,14 @@ def test_an_unknown_kind_lists_the_known() -> None:
         config.validate(wrong, Plan, "plan")
 
 
+def test_a_list_of_wrong_entries_is_not_called_too_short() -> None:
+    wrong = {"fringes": [{"axis": "x", "stripes": 1, "steps": 2}]}
+    with pytest.raises(ConfigError, match=r"^plan: 'fringes\[0\].steps' is 2: [^;]*$"):
+        config.validate(wrong, Plan, "plan")
+    with pytest.raises(ConfigError, match=r"'fringes' is \[\]: Tuple should have at least 1 item"):
+        config.validate({"fringes": []}, Plan, "plan")
+
+
 def test_an_unknown_method_lists_the_known() -> None:
     assert sorted(unwrapping_methods()) == ["guided", "heterodyne", "hierarchical"]
     wrong = {"fringes": [{"axis": "x", "stripes": 1, "steps": 4}], "unwrapping": "magic"}
