@@ -21,6 +21,7 @@ from fpplab.diagnosis.points import systematic_epipolar_px
 from fpplab.diagnosis.ranking import rank_findings
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
+from fpplab.phase.code_decoding import level_range
 
 NOT_SHOWN = "codes: only fringes show flicker, motion, the response and light between surfaces"
 
@@ -37,11 +38,7 @@ class CodeMisfitLimits(LimitsSection):
 
 def lit_pixels(recording: Recording) -> int:
     """Count the pixels whose levels change as those of a code do."""
-    lowest, highest = recording.frames[0].copy(), recording.frames[0].copy()
-    for frame in recording.frames[1:]:
-        np.minimum(lowest, frame, out=lowest)
-        np.maximum(highest, frame, out=highest)
-    change = (highest - lowest) * recording.grey
+    change = level_range(recording.frames) * recording.grey
     return int(np.count_nonzero(change >= 2.0 * recording.plan.masks.modulation_min))
 
 

@@ -61,7 +61,7 @@ def decode_codes(
         part = slice(start, start + _BLOCK)
         search.run([frame[part] for frame in frames], part, found[part])
 
-    with ThreadPoolExecutor(_processors()) as pool:
+    with ThreadPoolExecutor(processors()) as pool:
         for done, _ in enumerate(pool.map(decode_block, starts), 1):
             progress(done / len(starts))
     shape = recording.frames[0].shape
@@ -92,11 +92,12 @@ def sampled_likelihood(
 
 def _lit_sample(frames: Sequence[Image], min_range: float) -> NDArray[np.int64]:
     """Pixels whose raw levels change as those of a code do, evenly spread."""
-    lit = np.flatnonzero(_range(frames) >= min_range)
+    lit = np.flatnonzero(level_range(frames) >= min_range)
     return lit[:: max(1, len(lit) // CODES.sample_pixels)]
 
 
-def _processors() -> int:
+def processors() -> int:
+    """Count the processors that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
@@ -193,10 +194,10 @@ def _likelihood(figures: NDArray[np.float32]) -> float:
     return float(np.nanmean(figures[:, _LIKELIHOOD]))
 
 
-def _range(frames: Sequence[Image]) -> Floats:
-    """Greatest minus least level of every pixel."""
+def level_range(frames: Sequence[Image]) -> Image:
+    """Greatest minus smallest raw level of every pixel."""
     highest, lowest = frames[0].copy(), frames[0].copy()
     for frame in frames[1:]:
         np.maximum(highest, frame, out=highest)
         np.minimum(lowest, frame, out=lowest)
-    return np.asarray(highest, np.float64) - lowest
+    return highest - lowest

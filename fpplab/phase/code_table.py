@@ -32,12 +32,8 @@ class CodeTable:
     scale: NDArray[np.float32]  # (U,), length of each code, 0 where its images are equal
     slope: NDArray[np.float32]  # (U, K) per px, what offset and modulation do not explain of the derivative
     start: NDArray[np.int64]  # (C + 1,) index of each candidate's first grid point
-    candidates: NDArray[np.float32]  # (K, C), codes of unit length in the middle of each candidate
-
-    @property
-    def middle(self) -> NDArray[np.int64]:
-        """Index of the grid point in the middle of each candidate, (C,)."""
-        return (self.start[:-1] + self.start[1:] - 1) // 2
+    middle: NDArray[np.int64]  # (C,) index of the grid point in the middle of each candidate
+    candidates: NDArray[np.float32]  # (K, C), codes of unit length there
 
 
 @lru_cache(maxsize=8)
@@ -65,6 +61,7 @@ def code_table(
         scale=np.where(scale < CODES.min_contrast, 0.0, scale).astype(f32),
         slope=slope.astype(f32),
         start=start,
+        middle=middle,
         candidates=np.ascontiguousarray(unit[middle].T, f32),
     )
 

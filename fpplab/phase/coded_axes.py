@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from fpplab.core.conventions import Axis, Lattice, Map, Mask, axis_length
 from fpplab.core.errors import ConfigError
+from fpplab.core.progress import Progress
+from fpplab.patterns.fringe_sets import PatternSet
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import SyntheticWavelength, unwrapping_methods
@@ -32,7 +35,7 @@ def sets_of_axis(plan: Plan, axis: Axis, *, with_fringes: bool) -> tuple[int, ..
 
 
 def axes_by_codes(plan: Plan, size: tuple[int, int]) -> list[Axis]:
-    """List the axes that all their sets together tell, because codes do not tell the orders of fringes."""
+    """List the axes whose sets tell the coordinate all together: codes do not tell the orders of fringes."""
     with_orders = axes_with_orders(plan, size)
     return [axis for axis in plan.axes if axis not in with_orders and _has_codes(plan, axis)]
 
@@ -53,7 +56,8 @@ def axes_with_orders(plan: Plan, size: tuple[int, int]) -> dict[Axis, list[float
         ]
         wavelengths, length = unwrapping_methods()[WITH_CODES].wavelengths(units), axis_length(size, axis)
         own = sorted(length / wavelength.stripes for wavelength in wavelengths)
-        if _distance(plan, axis, codes, size, 0.5 * own[-1])[0] >= min_distance():
+        kinds = tuple(plan.sets[k] for k in codes)
+        if _distance(kinds, axis, size, 0.5 * own[-1])[0] >= min_distance():
             periods[axis] = own
     return periods
 
@@ -77,14 +81,14 @@ def _has_codes(plan: Plan, axis: Axis) -> bool:
 
 
 def _check_axis(plan: Plan, axis: Axis, size: tuple[int, int], source: str) -> None:
-    sets = sets_of_axis(plan, axis, with_fringes=True)
-    images = sum(plan.sets[k].images for k in sets)
+    kinds = tuple(plan.sets[k] for k in sets_of_axis(plan, axis, with_fringes=True))
+    images = sum(each.images for each in kinds)
     if images < 3:
         raise ConfigError(
             f"{source}: 'fringes' have {images} images that tell the coordinate along {axis}; offset, "
             "modulation and coordinate need at least 3"
         )
-    distance, first, second = _distance(plan, axis, sets, size, CODES.apart_px)
+    distance, first, second = _distance(kinds, axis, size, CODES.apart_px)
     if distance < min_distance():
         raise ConfigError(
             f"{source}: 'fringes' along {axis} look alike at coordinates {first:.0f} and {second:.0f} px: "
@@ -93,13 +97,11 @@ def _check_axis(plan: Plan, axis: Axis, size: tuple[int, int], source: str) -> N
         )
 
 
+@lru_cache(maxsize=16)  # a plan is asked when it is checked, decoded and judged
 def _distance(
-    plan: Plan, axis: Axis, sets: tuple[int, ...], size: tuple[int, int], apart_px: float
+    kinds: tuple[PatternSet, ...], axis: Axis, size: tuple[int, int], apart_px: float
 ) -> tuple[float, float, float]:
-    return nearest_codes(
-        code_table(tuple(plan.sets[k] for k in sets), axis, size, Lattice.SQUARE, CODES.usual_blur_px),
-        apart_px,
-    )
+    return nearest_codes(code_table(kinds, axis, size, Lattice.SQUARE, CODES.usual_blur_px), apart_px)
 
 
 def intervals_of(
@@ -154,12 +156,15 @@ def may_be_a_period_off(coordinate: Map, possible: PossibleCoordinates, period_p
     return np.asarray(spans & at_end)
 
 
-def decode_coded_axis(recording: Recording, axis: Axis, bounds: DecodingBounds) -> Decoded:
+def decode_coded_axis(
+    recording: Recording, axis: Axis, bounds: DecodingBounds, progress: Progress
+) -> Decoded:
     """Decode an axis by all its sets together, where codes do not tell the orders of fringes."""
     plan, rules = recording.plan, recording.plan.masks
     _check_axis(plan, axis, recording.projector_size, recording.name)
     sets, known = sets_of_axis(plan, axis, with_fringes=True), bounds.get(axis)
-    coded = decode_codes(recording, axis, sets, known if isinstance(known, PossibleCoordinates) else None)
+    known = known if isinstance(known, PossibleCoordinates) else None
+    coded = decode_codes(recording, axis, sets, known, progress)
     chance = np.exp(-0.5 * np.nan_to_num(coded.gap))
     variance = np.float32(coded.noise.constant) + np.float32(coded.noise.per_level) * coded.offset
     left = np.sqrt(coded.misfit * variance) / coded.modulation

@@ -5,7 +5,6 @@ Conventions: `fpplab.core.conventions`.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
@@ -29,7 +28,7 @@ from fpplab.phase.bounds import (
     interval_of,
     widest_interval_share,
 )
-from fpplab.phase.code_decoding import decode_codes
+from fpplab.phase.code_decoding import decode_codes, processors
 from fpplab.phase.coded_axes import (
     WITH_CODES,
     axes_by_codes,
@@ -116,16 +115,24 @@ def _decode_codes_and_fringes(recording: Recording, progress: Progress, bounds: 
     by_fringes = tuple(axis for axis in plan.axes if axis not in by_codes)
     within, unclear = dict(bounds), np.zeros(recording.frames[0].shape, np.bool_)
     repeats_px: dict[Axis, float] = {}
-    for axis, periods in with_orders.items():
+    count = len(with_orders) + len(by_codes) + bool(by_fringes)
+
+    def of_part(k: int) -> Progress:
+        return lambda share: progress((k + share) / count)
+
+    for k, (axis, periods) in enumerate(with_orders.items()):
         known = bounds.get(axis)
         known = known if isinstance(known, PossibleCoordinates) else None
-        codes = decode_codes(recording, axis, sets_of_axis(plan, axis, with_fringes=False), known)
+        codes = decode_codes(recording, axis, sets_of_axis(plan, axis, with_fringes=False), known, of_part(k))
         within[axis], unknown, repeats_px[axis] = intervals_of(codes, periods, axis_length(size, axis), known)
         unclear |= unknown
-    parts: dict[Axis, Decoded] = {axis: decode_coded_axis(recording, axis, bounds) for axis in by_codes}
+    parts: dict[Axis, Decoded] = {
+        axis: decode_coded_axis(recording, axis, bounds, of_part(k))
+        for k, axis in enumerate(by_codes, len(with_orders))
+    }
     if part and by_fringes:
         fringes = part if len(by_fringes) == len(part.plan.axes) else part.along(by_fringes[0])
-        decoded = _decode_fringes(fringes, progress, within, tuple(with_orders))
+        decoded = _decode_fringes(fringes, of_part(count - 1), within, tuple(with_orders))
         for axis, period_px in repeats_px.items():
             possible = within[axis]
             assert isinstance(possible, PossibleCoordinates)
@@ -135,7 +142,6 @@ def _decode_codes_and_fringes(recording: Recording, progress: Progress, bounds: 
         if not by_codes:
             return decoded
         parts[by_fringes[0]] = decoded
-    progress(1.0)
     return joined_axes(parts)
 
 
@@ -249,7 +255,7 @@ def _run_kernel(
 ) -> float:
     """The kernel on all processors, block by block; the greatest raw value met."""
     like, highest = np.empty(0, dtype), 0.0
-    pool = ThreadPoolExecutor(_processors())
+    pool = ThreadPoolExecutor(processors())
     try:
         blocks = [
             pool.submit(decode_pixels, recipe, like, start, min(start + _BLOCK, pixels), maps)
@@ -262,11 +268,6 @@ def _run_kernel(
         # Workers hold bare addresses: this must not return before they have stopped.
         pool.shutdown(wait=True, cancel_futures=True)
     return highest
-
-
-def _processors() -> int:
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def _drop_doubtful_orders(

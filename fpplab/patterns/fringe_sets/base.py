@@ -4,8 +4,8 @@ A kind is a file of this package with one class. It owns its patterns (`light`),
 when everything is in step (`waves`), its part of a plan file (its fields) and its documentation (their
 docstrings). Plans, decoding and the proof of synchronisation take it through these classes alone.
 
-`PatternSet` is any set. A `CodeSet` is one whose light depends on the coordinate along one axis. A
-`FringeSet` is a code of `stripes` equal periods whose images together give a phase (`demodulation`).
+`PatternSet` is any set. A `CodeSet` is one whose light depends on the coordinate along one axis, and a
+`PeriodicSet` one that repeats itself. A `FringeSet` gives a phase by itself (`demodulation`).
 """
 
 from __future__ import annotations
@@ -177,20 +177,11 @@ class CodeSet(PatternSet):
         return self.axis
 
 
-class FringeSet(CodeSet):
-    """One set of fringe images: `stripes` periods across the projector along `axis`."""
+class PeriodicSet(CodeSet):
+    """Images of `stripes` periods along an axis, each shifted by a phase of its own."""
 
     stripes: Annotated[float, Field(gt=0)]
     """Periods across the whole projector along the axis; may be fractional."""
-
-    @property
-    def phase_noise(self) -> float:
-        """Standard deviation of the phase in rad where that of a grey level equals the modulation."""
-        return float(np.sqrt(2.0 / self.images))
-
-    def phase_per_px(self, size: tuple[int, int]) -> float:
-        """Slope of the phase in rad per px along its axis, on a projector of `size` (width, height)."""
-        return TWO_PI * self.stripes / axis_length(size, self.axis)
 
     @abstractmethod
     def phase_shifts(self) -> Floats:
@@ -199,19 +190,7 @@ class FringeSet(CodeSet):
         Returns
         -------
         ndarray of float64, (N,)
-            rad, of a balanced set: see `Demodulation`.
-        """
-
-    @abstractmethod
-    def demodulation(self) -> Demodulation:
-        """Give the weights with which images become phase, modulation and offset.
-
-        Called once for every decoding, both by the compiled decoder and by the reference.
-
-        Returns
-        -------
-        Demodulation
-            Weights of the N images.
+            rad.
         """
 
     @abstractmethod
@@ -253,6 +232,31 @@ class FringeSet(CodeSet):
             f"stripes' is {self.stripes:g}: more than half of the projector's {length} pixels along "
             f"{self.axis}; at most {length / 2:g}"
         )
+
+
+class FringeSet(PeriodicSet):
+    """One set of fringe images, which together give a phase: its shifts are balanced (`Demodulation`)."""
+
+    @property
+    def phase_noise(self) -> float:
+        """Standard deviation of the phase in rad where that of a grey level equals the modulation."""
+        return float(np.sqrt(2.0 / self.images))
+
+    def phase_per_px(self, size: tuple[int, int]) -> float:
+        """Slope of the phase in rad per px along its axis, on a projector of `size` (width, height)."""
+        return TWO_PI * self.stripes / axis_length(size, self.axis)
+
+    @abstractmethod
+    def demodulation(self) -> Demodulation:
+        """Give the weights with which images become phase, modulation and offset.
+
+        Called once for every decoding, both by the compiled decoder and by the reference.
+
+        Returns
+        -------
+        Demodulation
+            Weights of the N images.
+        """
 
 
 def indices_along(sets: Sequence[FringeSet], axis: Axis) -> tuple[int, ...]:
