@@ -1,7 +1,4 @@
-"""True shapes: artefacts, standards, parts read from files, and each of them as a 3D printer makes it.
-
-Importing this package does not import trimesh, so that names are available quickly.
-"""
+"""True shapes: artefacts, standards, parts from files, and each as printed; importing it loads no trimesh."""
 
 from fpplab.artefacts.base import Artefact, Lengths
 from fpplab.artefacts.catalogue import NAMES, STANDARDS, artefact_types, make, save_stl, usual_sizes

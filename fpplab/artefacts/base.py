@@ -44,34 +44,14 @@ class Artefact(ABC):
 
     @abstractmethod
     def check_lengths(self) -> None:
-        """Check that the lengths fit together.
-
-        Called by the constructor, after it has checked that all lengths are finite and above 0 mm.
-
-        Raises
-        ------
-        ConfigError
-            The lengths do not give a solid; the message names the field, its value and its limit.
-        """
+        """Check that the lengths, which are finite and above 0 mm, give a solid (`ConfigError`)."""
 
     @abstractmethod
     def mesh(self) -> trimesh.Trimesh:
-        """Build the surface of the body.
-
-        Returns
-        -------
-        trimesh.Trimesh
-            A single watertight body with outward normals, corners in mm in the artefact's frame.
-        """
+        """Build the surface of the body, watertight with outward normals, in mm in the artefact's frame."""
 
     def lengths(self) -> tuple[FeatureLength, ...]:
-        """List the lengths of the body that are measured in clouds of it; none unless a subclass states them.
-
-        Returns
-        -------
-        tuple of FeatureLength
-            Features and true values in mm in the artefact's frame.
-        """
+        """List the lengths that are measured in clouds of the body; none unless a subclass states them."""
         return ()
 
     def check_below(self, field: str, value: float, limit: float, limit_name: str) -> None:

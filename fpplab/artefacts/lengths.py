@@ -1,8 +1,4 @@
-"""Lengths of an artefact that can be measured in a cloud, each between two features of its true surface.
-
-A feature is fitted to all points on it, so that its place is known far better than that of a single point:
-flat faces, spheres, and the corners in which three flat faces meet.
-"""
+"""Lengths of an artefact that can be measured in a cloud, each between two features of its true surface."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Building blocks for meshes of artefacts: corner loops, and triangles between them.
-
-A loop is an array (n, 3) of corners in mm; triangles are arrays (m, 3, 3) of their corners in mm, counter-
-clockwise as seen from outside. `closed_body` joins triangles to a mesh.
-"""
+"""Meshes from corner loops (n, 3) and triangles (m, 3, 3) in mm, counterclockwise from outside."""
 
 from __future__ import annotations
 

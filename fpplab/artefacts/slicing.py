@@ -1,11 +1,4 @@
-"""The shape of a part as a 3D printer makes it: layers of molten filament (FDM), stacked along z.
-
-A slope becomes a staircase, and a wall has grooves where one layer's bead meets the next. On a
-printed artefact both are larger than the errors of a good measurement, so a cloud of it is
-compared with the sliced shape, not with the drawn one.
-
-Frame of the part: mm, base on z = 0, z up, as it stood in the printer.
-"""
+"""The shape of a part as a 3D printer makes it: layers of molten filament, stacked along z from z = 0."""
 
 from __future__ import annotations
 

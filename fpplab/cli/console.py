@@ -29,10 +29,7 @@ if TYPE_CHECKING:
 
 
 class _Reporting(Console):
-    """A console to which no text of a file or name can give orders, as escape sequences do.
-
-    A reader who has gone is left to the caller; rich would end the process with code 1.
-    """
+    """A spinner or bar, for as long as it is shown."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Render what is printed, with characters that would not be seen written out."""

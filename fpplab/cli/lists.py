@@ -1,8 +1,4 @@
-"""Words of the command line that are put in order before they are parsed.
-
-Options may be followed by any number of paths, `--spheres A B C`, and those of the program itself may follow
-the command.
-"""
+"""Words of the command line that are put in order before they are parsed: lists of paths, global options."""
 
 from __future__ import annotations
 

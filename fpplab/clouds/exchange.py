@@ -1,8 +1,4 @@
-"""Clouds for other programs: E57 and LAS of points, OBJ, STL and 3MF of the surface, CSV of all attributes.
-
-E57 is in metres by its standard (ASTM E2807), and LAS as surveying programs take it where no other unit is
-stated; OBJ, STL, 3MF and CSV are in mm. All are in the camera's frame.
-"""
+"""Clouds for other programs: E57 and LAS of points in m, OBJ, STL and 3MF of the surface and CSV in mm."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
 """A cloud as a surface over its camera's pixels: connectivity, normals, faces, local fits.
 
-Which points lie on one surface is the rule of `fpplab.clouds.surfaces`. Everything is computed in w = 1/z
-over the ray's slopes (a, b) = (x/z, y/z), where a plane is linear: α a + β b + γ = w, with (α, β, γ) along
-its normal.
+Computed in w = 1/z over the ray's slopes (a, b) = (x/z, y/z), where a plane is linear: α a + β b + γ = w.
 """
 
 from __future__ import annotations

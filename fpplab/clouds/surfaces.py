@@ -1,14 +1,8 @@
 """Surfaces that a camera sees: whether two points lie on one, and the normal of each point.
 
-Two points lie on one surface when the step in depth between them is no more than a surface
-inclined by `STEEPEST_DEG` to the image plane would show over the footprint that separates
-their rays at that depth, plus `NOISE_SIGMAS` standard deviations of the step's own noise.
-A longer step is a jump from one surface to another. In w = 1/z over the slopes (a, b) the rule reads
+Two points do when the step in depth between them is no more than a surface inclined by `STEEPEST_DEG` would
+show between their rays, plus `NOISE_SIGMAS` of the step's own noise. In w = 1/z over the slopes (a, b):
 `|Δw| <= w (tan(STEEPEST) |Δ(a, b)| + NOISE_SIGMAS σ(Δz)/z)`.
-
-Normals are compiled for the processor's vector units: the sums of some hundred pixels of a row stay in the
-cache while one neighbour after the other is added to all of them. They lie in one buffer at constant
-distances, and there are no branches, because only then vector instructions are compiled.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Rigid alignment (registration) of a true mesh to a measured cloud, robust against points of other objects.
+"""Rigid alignment of a true mesh to a cloud by point-to-plane ICP with Huber's weights.
 
-Iterative closest points (ICP) with the point-to-plane error (Chen and Medioni, 1992) and Huber's
-weights, from the given pose; if that ends far from the mesh, from the 24 ways in which the principal
-axes of mesh and cloud can coincide.
+It starts from the given pose; if that ends far from the mesh, from the 24 ways in which the principal axes of
+mesh and cloud can coincide.
 """
 
 from __future__ import annotations

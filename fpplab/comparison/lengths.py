@@ -1,10 +1,4 @@
-"""Lengths of an artefact, measured in a cloud that is aligned to it.
-
-Every feature is fitted by robust least squares (Huber) to the points on it, those well inside its outline.
-Standard uncertainties follow from the residuals by the sandwich estimator, with cells of a face as what
-varies independently, since errors of neighbouring points correlate. What an uncertain calibration adds is
-what its independent errors, each displacing all points at once, change of the fitted features.
-"""
+"""Lengths of an artefact, measured in a cloud that is aligned to it, by robust fits of its features."""
 
 from __future__ import annotations
 
@@ -104,10 +98,7 @@ def no_displacements(points: Floats) -> Floats:
 def displacements_by(
     calibration: Calibration | None, at: RigidTransform, noise: CoordinateNoise = (1.0, 1.0)
 ) -> Displacements:
-    """Take those of a calibration in the frame of an artefact that stands at a pose in the camera's.
-
-    Which axes were coded hardly matters: an axis along which depth does not show has little weight.
-    """
+    """Take those of a calibration in the frame of an artefact that stands at a pose in the camera's."""
     if calibration is None or calibration.uncertainty is None:
         return no_displacements
     to_artefact = at.inverse().rotation

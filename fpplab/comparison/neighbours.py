@@ -1,11 +1,4 @@
-"""Exact nearest neighbours between large point sets that lie on surfaces.
-
-The points are sorted into the square cells of a plane (that of their two principal axes, in
-which a surface spreads most), and each query searches rings of cells until no cell farther
-out can hold a nearer point. Queries are processed in the order of the cells, so that
-successive queries read points that are in the cache. Queries far from all points, and sets that do not
-spread over a plane, are answered by a k-d tree instead: the answer is exact in every case.
-"""
+"""Exact nearest neighbours between large point sets on surfaces, by cells of a plane, or else a tree."""
 
 from __future__ import annotations
 

@@ -1,15 +1,4 @@
-"""The scale of a cloud: what a rigid alignment cannot show.
-
-A cloud that is too large by 1000 ppm lies, after a rigid alignment, nearly as close to its true shape as
-one that is not, wherever the surface is parallel to the error: a plate moves within its own plane. So after
-the rigid alignment a similarity is fitted, by the same point-to-plane error, and its scale is stated with
-the distances.
-
-The standard uncertainty follows from the residuals. Errors of neighbouring points correlate, because of
-fringe ripple and distortion, so the points are grouped into cells of space, and the cells are taken as
-independent (the sandwich estimator for clusters). It says how well this cloud determines its scale, not how
-well the instrument keeps it.
-"""
+"""The scale of a cloud: what a rigid alignment cannot show, found by fitting a similarity after it."""
 
 from __future__ import annotations
 

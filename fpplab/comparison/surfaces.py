@@ -1,10 +1,4 @@
-"""Distance from many points to a finely triangulated surface.
-
-A local search instead of a tree: from the nearest vertex to the nearest of the faces around it, on to the
-faces around that face's vertices, as long as the distance decreases. On a surface that is smooth at the
-scale of its faces, such as one over a grid of pixels, it ends at the nearest face; the result is never
-less than the true distance and never more than that to the nearest vertex.
-"""
+"""Distance from many points to a finely triangulated surface, by a local search from the nearest vertex."""
 
 from __future__ import annotations
 

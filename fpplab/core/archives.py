@@ -1,8 +1,4 @@
-"""NPZ files from any source: the sizes that they declare are checked against the file's own.
-
-An archive may not unpack to far more than recorded data would, and an array may not claim more values than
-its part of the archive holds; both are known before any memory is asked for.
-"""
+"""NPZ files from any source: the sizes that they declare are checked before any memory is asked for."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""Memory for large arrays that is used again once they are released.
-
-The system hands out memory page by page and clears each page at its first use. For maps of millions of
-pixels that takes as long as computing them, and far longer on a virtual machine whose host takes free pages
-back. Arrays from `empty` are ordinary ones; when the last view of one is gone, its memory is kept for the
-next.
-"""
+"""Memory for large arrays that is used again, because the system clears fresh pages slowly."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""What fpplab keeps outside of the user's results to save time, and can compute again.
-
-All of it lies in `cache_directory()`. What numba compiles stays in `__pycache__` next to the sources, is
-renewed when these change, and is none of this.
-"""
+"""What fpplab keeps outside of the user's results to save time, and can compute again."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Checksums of the small files of a session, which decide what its frames mean.
-
-`files.jsonl` next to them has a line for every content that was written, appended before the file is: a crash
-between the two leaves a file that still has its own line. Whoever reads such a file compares. Sessions of
-earlier versions have no such record, and are read as they are.
-"""
+"""Checksums of a session's small files, which decide what its frames mean; early sessions have none."""
 
 from __future__ import annotations
 

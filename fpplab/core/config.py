@@ -1,8 +1,4 @@
-"""YAML documents with a schema: read strictly, refused in one sentence, written back.
-
-A document is a frozen pydantic model. Nothing is coerced, nothing unknown is
-ignored: an operator's typing error must never become a default.
-"""
+"""YAML documents with a schema: read strictly, refused in one sentence, written back."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Confirmation of operations that cannot be undone or may harm a device.
-
-`--allow OPERATION` confirms one in advance, for this process. Without it the user is asked at the terminal;
-without a terminal the operation is refused.
-"""
+"""Confirmation, by `--allow` or at the terminal, of what cannot be undone or may harm a device."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Writing large files past the system's cache.
-
-What is written through the cache is copied into fresh pages first, and flushing it to disk waits for all of
-them.
-Where the file system allows it, large results go from one small buffer to the disk directly.
-"""
+"""Writing large files past the system's cache, which would copy them and flush its copy afterwards."""
 
 from __future__ import annotations
 

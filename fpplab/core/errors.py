@@ -1,9 +1,4 @@
-"""Errors that are expected to happen, grouped by what has to be corrected, each group with an exit code.
-
-Every foreseeable error is one of these; the command line prints its single
-sentence and exits with `exit_code`. The message names what was found and what
-to do, so that an operator can act on it without reading code.
-"""
+"""Errors that are expected to happen, grouped by what has to be corrected, each group with an exit code."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Extras: parts of fpplab whose packages are installed only on request, such as `fpplab[viewer]`.
-
-What recorded scans are measured with is always installed. Where a package of an extra is missing, the command
-that needs it says which one, and how to install it.
-"""
+"""Extras: parts of fpplab whose packages are installed only on request, such as `fpplab[viewer]`."""
 
 from __future__ import annotations
 

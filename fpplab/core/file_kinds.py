@@ -1,8 +1,4 @@
-"""What a file or folder is, by its content: a refusal names it, and says what belongs in its place.
-
-Only what marks a kind is looked for, so that damaged files are named as well; whoever reads a file finds out
-whether it is right. Where nothing tells, nothing is said.
-"""
+"""What a file or folder is, by its content: a refusal names it, and says what belongs in its place."""
 
 from __future__ import annotations
 

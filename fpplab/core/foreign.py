@@ -1,8 +1,6 @@
 """Files of foreign parsers, read in a process of its own with limited time, memory and stack.
 
-Such a parser may run on without end, ask for more memory than there is, or end its process; here it ends only
-its own. What it read comes back as plain arrays. Run as a program, this module is that process: it reads a
-file from stdin and writes an NPZ archive to stdout.
+Run as a program, this module is that process: it reads a file from stdin and writes an NPZ archive to stdout.
 """
 
 from __future__ import annotations

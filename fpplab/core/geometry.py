@@ -1,9 +1,4 @@
-"""Rigid transforms and the pinhole model with OpenCV's rational distortion.
-
-The terms and frames are those of `fpplab.core.conventions`. The distortion is that of calib3d's "Detailed
-Description": Brown and Conrady's, with a polynomial below the radial one (D. Claus, A. Fitzgibbon, "A
-rational function lens distortion model for general cameras", 2005), which wide lenses need.
-"""
+"""Rigid transforms, and the pinhole model with OpenCV's rational distortion (Claus and Fitzgibbon, 2005)."""
 
 from __future__ import annotations
 

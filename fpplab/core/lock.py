@@ -1,8 +1,7 @@
 """Locks between processes: of files, given back by the system when a process ends, however it does.
 
-Linux and macOS lock a whole file by `flock`. Windows locks single bytes, and each for one process alone:
-there a file's lock is a row of bytes far behind its content, of which one is taken to share it, and all to
-have it alone. Whoever holds a lock may write who it is into the file, for the messages of all others.
+Linux and macOS lock a whole file by `flock`. Windows locks single bytes, each for one process alone: one of a
+row far behind the content is taken to share the lock, and all of them to have it alone.
 """
 
 from __future__ import annotations

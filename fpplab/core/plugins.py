@@ -1,12 +1,4 @@
-"""Plugins: what other installed packages add to fpplab, found by entry points and never by a module's name.
-
-A package announces what it adds in its `pyproject.toml`::
-
-    [project.entry-points."fpplab.commands"]
-    toaster = "toaster.commands:app"
-
-The groups are constants below, each with what an entry of it must be.
-"""
+"""Plugins: what installed packages add to fpplab by entry points, whose groups are the constants below."""
 
 from __future__ import annotations
 

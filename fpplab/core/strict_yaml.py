@@ -1,9 +1,4 @@
-"""YAML as plain data: mappings, lists, words, decimal numbers, booleans and null, and nothing else.
-
-YAML can do more than a configuration needs, and files come from strangers: aliases that multiply to more than
-memory holds, tags that make objects, dates, and numbers to the base of 2, 8, 16 or 60 where a person meant a
-word. All of that is refused, or stays a word.
-"""
+"""YAML without what files from strangers could do by it: tags, endless aliases, odd numbers, dates."""
 
 from __future__ import annotations
 

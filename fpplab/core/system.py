@@ -1,7 +1,4 @@
-"""System libraries that the Python packages need and pip cannot install.
-
-`python -m fpplab.core.system` names each one that is missing, with the Debian package to install.
-"""
+"""System libraries that the Python packages need and pip cannot install; run as a program it names them."""
 
 from __future__ import annotations
 

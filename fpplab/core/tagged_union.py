@@ -1,24 +1,7 @@
-"""Families of configuration models that a new member joins by being defined, with no list of them anywhere.
+"""Families of configuration models: each subclass of an abstract base is a member, named by its field `kind`.
 
-A family is an abstract `Document`; each member is a subclass with a field ``kind``, whose only value names
-it::
-
-    class Material(Document):
-        kind: str
-
-        @abstractmethod
-        def paint(self) -> Paint: ...
-
-    class Diffuse(Material):
-        kind: Literal["diffuse"] = "diffuse"
-        reflectance: float = 0.9
-
-    class World(Document):
-        material: Annotated[Material, TaggedUnion(default="diffuse")] = Diffuse()
-
-The static type stays the base class. Members have to be defined before the first model that refers to the
-family is; where each has a module of its own in one package, that package's ``__init__`` calls
-`import_members`.
+Members have to be defined before the first model that refers to the family; where each has a module of its
+own, the package's ``__init__`` calls `import_members`.
 """
 
 from __future__ import annotations
@@ -38,12 +21,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class TaggedUnion:
-    """Pydantic annotation: one of the concrete subclasses of the annotated base class, chosen by `kind`.
-
-    Used as ``Annotated[Base, TaggedUnion(default="diffuse")]``. Subclasses of subclasses count too; abstract
-    ones do not. The kinds are collected when the model that holds the annotation is built. Anything that is
-    not of a known kind is refused with ``must have a 'kind' of diffuse, glossy, translucent``.
-    """
+    """Pydantic annotation of an abstract base: one of its concrete subclasses, chosen by `kind`."""
 
     default: str | None = None  # kind of a mapping without the key ``kind``; None where the key must be given
 

@@ -1,9 +1,7 @@
 """Backends of rig files: which modules a rig file may have imported, and the classes in them.
 
-A rig file names a backend as an installed package announces it, such as `basler`, or by `module:Class`.
-
-To import a module is to run it. A rig file may come from a stranger, so it chooses among what was installed
-as a backend: fpplab's own modules, what an installed package announces as such, and what the user allows.
+To import a module is to run it, and a rig file may come from a stranger: so it chooses among what is
+installed as a backend, and what the user allows.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""A fixture that is a person: asks for each item and pose at the terminal.
-
-fixture: {backend: "fpplab.devices.operator:Operator"}
-"""
+"""A fixture that is a person, asked at the terminal: `{backend: "fpplab.devices.operator:Operator"}`."""
 
 from __future__ import annotations
 

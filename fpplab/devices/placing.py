@@ -1,7 +1,4 @@
-"""Fixtures that accept a pose: as a transform, as a robot does, or in words, as a person does.
-
-A fixture that is neither mounts its items in numbered poses of its own, and in no others.
-"""
+"""Fixtures that accept a pose: as a transform, as a robot does, or in words, as a person does."""
 
 from __future__ import annotations
 

@@ -1,13 +1,7 @@
 """Turns on a rig: a command that only watches closes the devices when another command needs them.
 
-Commands that measure share a rig's lock, so that nothing changes between them: the drivers refuse a device
-that is open elsewhere. A watcher (`fpplab live`) holds the rig exclusively for one frame at a time: before
-each it checks whether another command waits, and if so closes the devices until that command is done.
-
-Three files per rig file, whose locks the system gives back when a process ends, however it does:
-`wanted` is shared by all that want to measure, `used` is shared by those that do or held alone by the
-watcher, and `watched` is the watcher's. They lie in a folder of the user's own, named by the rig file's
-place: two rig files that name the same camera are two rigs here.
+Of three files per rig file, `wanted` is locked, shared, by all that want to measure, `used` by those that do,
+or by the watcher alone, and `watched` by the watcher. A watcher holds the rig for one frame at a time.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""What a simulation offers beyond the devices, as far as fpplab itself uses it: Protocols.
-
-A rig's simulation (`fpplab.devices.rig.Rig.simulation`) has an ability if it has the Protocol's methods:
-`isinstance(rig.simulation, Seeded)`. A bench of real instruments has no simulation.
-"""
+"""What a simulation offers beyond the devices, as Protocols: `isinstance(rig.simulation, Seeded)`."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Brings a rig to a candidate's stage position, projector rotation and item, and finds its calibration there.
 
-What a stage does to the geometry is measured, not assumed: the rig is characterised with the stage at two or
-more positions, and between two of them every parameter of the calibration is interpolated linearly, so that
-the parameters stay consistent with one another. Those taken from two different calibrations would not be.
+The rig is characterised at two or more stage positions. Between two of them all parameters are interpolated
+together, so that they stay consistent with one another.
 """
 
 from __future__ import annotations

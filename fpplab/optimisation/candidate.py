@@ -67,28 +67,10 @@ class Score(Accuracy):
 
 
 class Evaluator(Protocol):
-    """Interface of what measures candidates, on whatever rig.
-
-    A worker opens one with an `EvaluatorFactory`, calls `measure` for one candidate after another,
-    and `close` at the end.
-    """
+    """Interface of what measures candidates, on whatever rig."""
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
-        """Measure every artefact of the study with one candidate.
-
-        Equal arguments must give equal scores where the rig is a simulation.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            What to measure with.
-        seed : int
-            Seed of the noise on a simulation; on a real rig another seed is another repeat.
-
-        Returns
-        -------
-        tuple of Score
-            One for each artefact.
+        """Measure every artefact of the study; on a simulation equal arguments give equal scores.
 
         Raises
         ------

@@ -1,7 +1,6 @@
-"""Computers that measure for a search: a dask scheduler and workers, who know each other by a certificate.
+"""Computers that measure for a search: a dask scheduler and workers.
 
-Whoever reaches one of them has it run any code. Without a certificate they listen to this computer alone;
-with one, both sides of every connection have to hold its key.
+Whoever reaches one of them has it run any code: without a certificate they listen to this computer alone.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""Compares two plans on a rig by measuring with both, and states the gain with its uncertainty.
-
-The plans are measured alternately, so that drift affects both equally. Three things make the gain uncertain:
-noise and whatever else differs from one measurement to the next; the sample of points that is compared; and
-the calibration, which is common to both plans and is varied within its covariance for both equally.
-"""
+"""Compares two plans on a rig by measuring with both in turn, and states the gain with its uncertainty."""
 
 from __future__ import annotations
 

@@ -1,13 +1,8 @@
 """A cache of fringe sets, each acquired once, from which the measurements of plans are put together.
 
-What a search changes most is one frequency, so the fringe set is the unit of measuring. A set of N steps is
-also taken from the images of one with a multiple of N: every second image of 12 steps are 6 steps with the
-same patterns.
-
-Where the rig is a simulation, candidates are compared with common random numbers: the noise of an image
-depends on the seed, the item, the position of its set in the plan and its phase shift, and on nothing else.
-So it does not depend on the order of measurements or on the process, and is equal for the same image in a set
-of 6 steps and in one of 12. On a real rig the noise is the rig's, and a seed is a repeat.
+A set of N steps is also taken from the images of one with a multiple of N. On a simulation candidates are
+compared with common random numbers: the noise of an image depends on the seed, the item, the position of its
+set in the plan and its phase shift alone, so not on the order of measurements or the process.
 """
 
 from __future__ import annotations

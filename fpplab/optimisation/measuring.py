@@ -42,11 +42,7 @@ def candidate_from_plan(plan: Plan) -> Candidate:
 
 
 class RigEvaluator:
-    """Measures the artefacts of a study with candidates, on a rig that is opened when first needed.
-
-    Where the study moves the projector, the true surface is all that the camera sees, the same for every
-    candidate; otherwise it is what is also illuminated.
-    """
+    """Measures candidates on an open rig, with cached fringe sets."""
 
     def __init__(self, rig: str, problem: SearchProblem, samples: int | None = LIMITS.samples) -> None:
         self._file, self._problem, self._samples = rig, problem, samples

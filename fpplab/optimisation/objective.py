@@ -1,10 +1,4 @@
-"""Base class of the objectives of a search.
-
-An objective is one module of the package `fpplab.optimisation.objectives`: a subclass of `Objective` that
-says how it is called, computed, printed and, where a study may limit it, limited. Nothing else has to be
-changed for a new one: study files may name it, their reference lists it, and the report of a search has a
-column for it.
-"""
+"""Base class of the objectives of a search, each a module of `fpplab.optimisation.objectives`."""
 
 from __future__ import annotations
 
@@ -27,10 +21,7 @@ class ObjectiveLimit:
 
 
 class Objective(ABC):
-    """One figure of a measured candidate that a search can improve.
-
-    A subclass gives the class variables below, `value`, and `excess` if it has a `limit`; it has no state.
-    """
+    """One figure of a measured candidate that a search can improve; stateless."""
 
     key: ClassVar[str]
     """Name in study files, in results and in messages; it ends with the unit."""

@@ -1,7 +1,4 @@
-"""What a search solves: what may vary and within which bounds, the limits of a plan, and the objectives.
-
-A study file says this and by which method it is searched, see `fpplab.optimisation.study`.
-"""
+"""What a search solves: what may vary and within which bounds, the limits of a plan, and the objectives."""
 
 from __future__ import annotations
 

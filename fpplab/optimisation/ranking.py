@@ -1,8 +1,4 @@
-"""The order of candidates: by the limits of a study first, then by its objectives.
-
-Wrong fringe orders are not hidden by the mean: the distances count all points, and a plan with more of them
-than the study's limit is not accepted.
-"""
+"""The order of candidates: by the limits of a study first, then by its objectives."""
 
 from __future__ import annotations
 

@@ -48,13 +48,7 @@ def run_search(
     observe: CandidateObserver = ignore,
     progress: Progress = no_progress,
 ) -> SearchResult:
-    """Search, and write the plan found to `out`, or the plans of a front to the folder `out`.
-
-    Nothing is written where the plan found is worse than the start's. A study with `screening` predicts its
-    candidates where `can_screen` holds, and measures the start and what it has found.
-
-    An interrupted search continues from its journals, next to the plan or in the folder.
-    """
+    """Search, and write the plan found to `out`, or the plans of a front to the folder `out`."""
     with Rig.load(rig) as opened:
         limits, file = RigLimits.of(opened), opened.file.model_dump(mode="json")
         study.check_rig(limits.name, source)

@@ -1,7 +1,4 @@
-"""Distributes measurements to this process, to others on this computer, or to workers of a dask scheduler.
-
-Results come back in any order; the caller sorts them. A measurement whose worker dies is repeated by another.
-"""
+"""Distributes measurements to processes or to a dask scheduler's workers; results come back in any order."""
 
 from __future__ import annotations
 
@@ -22,10 +19,7 @@ OutcomeCallback = Callable[[int, ScoresOrReason], None]  # called with the index
 
 
 class EvaluatorFactory(Protocol):
-    """Opens a rig to measure on.
-
-    It is pickled and sent to every worker, which keeps the evaluator open as long as it gets equal factories.
-    """
+    """Opens an evaluator in the process that is to measure; it is pickled on the way there."""
 
     def __call__(self) -> Evaluator:
         """Open the rig. Called in the worker, before its first measurement."""

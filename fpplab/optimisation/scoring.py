@@ -1,10 +1,6 @@
 """Scores a decoded measurement at a fixed sample of pixels and points of the true surface.
 
-Everything that does not depend on the measurement is computed once (`TrueShape`): which pixels see the shape
-and which projector coordinates they must have, what part of the surface counts, and which pixels are
-compared.
-The figures are those of `fpplab.comparison`, but means over all points are taken over the sample here. It is
-the same sample for every candidate, so that its errors cancel when candidates are compared.
+The sample is the same for every candidate, so that its errors cancel when candidates are compared.
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
 """Predicts the scores of candidates on a simulation, from bands of the camera's rows, many times quicker.
 
-Bands are simulated in place of whole frames, decoded, triangulated and compared like a measurement. They are
-the same for all candidates, and so is the noise of a seed, so that both cancel when candidates are compared.
-
-Points are triangulated with the simulation's own calibration: errors of a characterisation are common to all
-plans. Where a matched twin states how uncertain it is, every seed draws another twin within that: a mean over
-the seeds is one over the twins that the bench may be, and the worst seed is the worst of them.
+Bands and the noise of a seed are the same for all candidates, so that both cancel. Points are triangulated
+with the simulation's own calibration. Where a twin states how uncertain it is, every seed draws another one.
 """
 
 from __future__ import annotations

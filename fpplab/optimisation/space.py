@@ -1,7 +1,4 @@
-"""The search space: parameters with their ranges, points, and the candidates that they stand for.
-
-A point that the rig cannot show is refused with the reason; it is never moved to one that it can.
-"""
+"""The search space: parameters with their ranges, points, and the candidates that they stand for."""
 
 from __future__ import annotations
 

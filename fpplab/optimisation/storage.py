@@ -1,9 +1,4 @@
-"""The journal of a search: measurements are stored before they are used, to continue a killed search.
-
-Searches are deterministic: when one is run again it asks for the same candidates in the same order, and gets
-the results from the journal up to what was not measured yet. So no other state has to be stored. The file has
-a header line and then one JSON line for each measurement.
-"""
+"""The journal of a search: a killed one is run again, asks for the same, and finds its results here."""
 
 from __future__ import annotations
 

@@ -1,15 +1,4 @@
-"""Study files (study_*.yaml): what to search, within which bounds, for which objectives, and by which method.
-
-    name: Stripe counts
-    rig: any
-    artefacts: [pyramid, pillars, steps]
-    start: plan_paper.yaml
-    space: {stripes: [null, [2, 32], [16, 228]]}
-    objectives: [surface_smcd_um]
-    method: {kind: coordinate}
-
-What `space` does not name keeps its value at the start.
-"""
+"""Study files (study_*.yaml): what to search, within which bounds, for which objectives, and how."""
 
 from __future__ import annotations
 

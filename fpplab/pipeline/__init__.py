@@ -1,7 +1,4 @@
-"""The steps of a measurement, each from open devices or recorded sessions to a value.
-
-`fpplab.workflows` puts them together. Nothing here knows what kind of rig it runs on.
-"""
+"""The steps of a measurement, each from open devices or recorded sessions to a value."""
 
 from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED, REPORT
 from fpplab.pipeline.characterising import (

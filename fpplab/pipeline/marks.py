@@ -77,11 +77,7 @@ def widened_by_marks(calibration: Calibration, seen: SeenMarks) -> Calibration:
 def marks_verdict(
     compared: MarksComparison, cloud: Cloud, noise: CoordinateNoise, calibration: Calibration
 ) -> MarksVerdict:
-    """Judge the geometry by what a change that the marks allow would displace the points by.
-
-    It is compared with the uncertainty that the calibration states for them anyway: what costs less is no
-    change that matters.
-    """
+    """Judge the geometry by what a change that the marks allow would displace the points by."""
     costs = _costs(cloud, calibration, noise, compared)
     if compared.explained and all(cost.total_um <= cost.stated_um for cost in costs):
         return MarksVerdict(True)

@@ -144,20 +144,7 @@ def _judge(
 
 
 def widened_by_drift(calibration: Calibration, drifts: Mapping[Axis, PointingDrift]) -> Calibration:
-    """Add to the uncertainty by how much the projector's picture walked since the first frame.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Without a covariance it stays as it is.
-    drifts : mapping of str to PointingDrift
-        By axis, as decoding found them.
-
-    Returns
-    -------
-    Calibration
-        The same, with its projector's principal point less certain.
-    """
+    """Add to the uncertainty by how much the projector's picture walked since the first frame."""
     uncertainty = calibration.uncertainty
     if uncertainty is None or not drifts:
         return calibration

@@ -1,8 +1,4 @@
-"""Which projector coordinates a camera pixel may have, from the calibration and a range of depths.
-
-A camera pixel's ray between two depths is a segment, whose image in the projector is a piece of the epipolar
-curve: decoding then chooses fringe orders among the coordinates on that piece alone.
-"""
+"""Which projector coordinates a camera pixel may have, from the calibration and a range of depths."""
 
 from __future__ import annotations
 

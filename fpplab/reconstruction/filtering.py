@@ -1,28 +1,16 @@
-"""Removal of points that lie on no surface: mixed pixels, shadow edges and isolated points.
-
-Their pixels pass every mask. A pixel at an edge receives light from more than one place; four rules detect
-what follows from that:
+"""Removal of points that lie on no surface, by four rules; what one removes is an edge to the next.
 
 contradiction
-    Light of two surfaces mixes with other phases in every fringe set, so that the sets no longer agree on one
-    projector coordinate. A pixel whose sets disagree by more than `disagreement_max` times what noise
-    explains (`Decoded.disagreement`) has not seen a single point.
+    Light of two surfaces mixes with other phases in every fringe set: their coordinates disagree by more than
+    `disagreement_max` times what noise explains.
 half lit
-    A pixel that is illuminated in part is consistent, but measures the middle of its illuminated part. With a
-    share q of the light lost that is q/2 pixels next to its ray, which becomes
-    q/2 · footprint / tan(angle between the rays) in depth; the penumbra of a wide aperture does the same. Its
-    modulation is less than that of the surface it continues, and it lies at an edge: a neighbour has no
-    point, or is across a depth discontinuity. Ink has less modulation too, but no edge next to it.
+    With a share q of its light lost a pixel measures q/2 pixels next to its ray. Its modulation is less than
+    that of the surface it continues, and it lies at an edge; ink has no edge next to it.
 isolated
-    A connected region of fewer than `patch_min` pixels is no surface: its fringe orders are wrong from noise.
+    A connected region of fewer than `patch_min` pixels has wrong fringe orders from noise.
 flying
-    A point between two surfaces is across a jump in depth from both: from more of the pixels around it than
-    it forms a surface with. On the edge of a surface most of the neighbours that have a point are of that
-    surface. A majority decides, so half of the usual allowance for noise is enough for each neighbour. A
-    pixel without neighbours is not judged by this rule.
-
-They are applied in this order, and what one has removed is an edge to the next. Depth discontinuities are
-those of `fpplab.clouds.pixelgrid`, so a steep surface is none. No rule uses the true shape.
+    A point between two surfaces is across a jump in depth from more of the pixels around it than it forms a
+    surface with. A majority decides, so half of the usual allowance for noise is enough for each.
 """
 
 from __future__ import annotations

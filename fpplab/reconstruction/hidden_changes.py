@@ -1,10 +1,7 @@
 """Changes of a rig since its characterisation that the frames of a scan do not show, and what they cost.
 
-A change moves the points, by the derivatives of `calibration_jacobian`, and, where both axes are coded,
-moves them off their epipolar lines. What moves them along these lines is not seen in a scene of unknown
-shape. The size of a change is a normal variable, with the standard deviation of `changed_rigs`; the evidence
-is that the points lie on their epipolar lines to within a given distance. The standard deviation given this
-evidence tells how much of the change may have happened unseen.
+A change moves points off their epipolar lines, which is seen, and along them, which is not in a scene of
+unknown shape. Its size is a normal variable, conditioned on how near the points lie to their epipolar lines.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Smooth functions of position, computed at a grid of rays and depths and interpolated between them.
-
-What a calibration's error does to a point changes slowly from point to point, and takes long to compute: for
-a cloud of millions of points it is computed at some thousand nodes instead.
-"""
+"""Smooth functions of position, computed at a grid of rays and depths and interpolated between them."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Connected regions of pixels that are too small: compiled functions.
-
-Neighbours in a row that see one surface form a run. Runs of neighbouring rows are joined where a pixel of one
-is linked with the pixel below it, band by band on all processors, and then across the borders of the bands.
-There are far fewer runs than pixels.
-"""
+"""Connected regions of pixels that are too small: runs in rows, joined in bands on all processors."""
 
 from __future__ import annotations
 

@@ -1,10 +1,7 @@
 """Triangulation of projector coordinates on the camera's rays, with the distortion of both devices.
 
-A camera pixel's ray X = z (a, b, 1) is known exactly from the camera's model. Its depth z is
-where the point's image in the projector, distortion included, has the decoded coordinates:
-the projector's surface u = const is curved, so the distorted projection itself is solved by
-Gauss-Newton. One coded axis gives one equation; two give least squares along the ray, and
-what remains is the distance from the epipolar curve. The cloud is in the camera's frame.
+The depth on a ray X = z (a, b, 1) is where the point's image in the projector, distortion included, has the
+decoded coordinates, by Gauss-Newton. With two coded axes the rest is the distance from the epipolar curve.
 """
 
 from __future__ import annotations

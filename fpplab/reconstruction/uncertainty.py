@@ -1,16 +1,8 @@
 """Uncertainty of each point of a cloud: the fringes' noise and the calibration's covariance, propagated.
 
-Noise is independent from point to point and lies along the ray. So do the errors that all points of one phase
-have in common (response, lamp, rounding), which averaging over points does not lessen. A calibration error is
-common to all points: it moves and rotates the cloud far more than it deforms it. What remains after the best
-rigid motion is given separately, because it is what a comparison with a true shape shows. A point's
-uncertainty is stated as the root mean square distance from where it should be, √trace of its covariance
-(Helmert's point error): so the contributions, which are independent, add in quadrature whatever their
-directions.
-
-Variances change slowly from point to point. Those of large clouds are interpolated between the nodes of a
-grid (`fpplab.reconstruction.ray_grid`), by which a standard uncertainty changes by less than 0.5 % of the
-cloud's median.
+A calibration error moves and rotates the cloud far more than it deforms it. What remains after the best rigid
+motion is given separately, because it is what a comparison with a true shape shows. A point's uncertainty is
+√trace of its covariance (Helmert's point error), so that independent contributions add in quadrature.
 """
 
 from __future__ import annotations

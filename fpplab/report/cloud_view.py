@@ -1,8 +1,4 @@
-"""A point cloud that a page shows in three dimensions: decimated, quantised, with a still picture.
-
-The page's own script (`templates/cloud_view.js`) draws it by WebGL; where there is none, and in print, the
-page shows the still picture.
-"""
+"""A point cloud that a page draws by WebGL (`templates/cloud_view.js`), with a still picture for print."""
 
 from __future__ import annotations
 

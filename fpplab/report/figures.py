@@ -1,9 +1,4 @@
-"""Figures of every step of a measurement, as PNG files in memory.
-
-Maps are drawn as the camera or the projector sees them: u to the right, v down, in px.
-What was not measured is grey. Matplotlib is used through its object interface only, so that
-drawing neither opens windows nor changes global state.
-"""
+"""Figures of every step of a measurement, as PNG files in memory."""
 
 from __future__ import annotations
 

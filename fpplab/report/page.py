@@ -1,9 +1,4 @@
-"""A report: one HTML file that says whether to believe it, shows what was measured, and where it comes from.
-
-Everything is inside the file, figures, tables and the views in three dimensions included; it fetches nothing,
-and says so to the browser by a content security policy, so that it can be mailed, printed and archived.
-Verdicts stand first, then the figures, then the details, then the provenance.
-"""
+"""A report: one HTML file that fetches nothing, with the verdicts before all else."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Provenance: where the figures of a report come from, by what sessions, calibrations and devices record.
-
-Nothing is inferred: what no record states is `NOT_RECORDED`.
-"""
+"""Provenance: where a report's figures come from, by what records state; the rest is `NOT_RECORDED`."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""The log of a session: what was done with it, a JSON object in each line.
-
-Every process that writes into a session appends to it: a line at first with versions, host and command, a
-line for each phase with its time, warnings, with `--trace` the messages to and from devices, and a line at
-the end that says how it ended. It is for people and bug reports: nothing is read from it, and what cannot be
-written is left out.
-"""
+"""The log of a session, for people and bug reports: JSON lines, left out where they cannot be written."""
 
 from __future__ import annotations
 

@@ -1,10 +1,6 @@
-"""A damaged session made readable again: what is whole is kept, what is lost is named.
+"""A damaged session made readable again: what is whole is kept, what is lost is named, nothing is deleted.
 
-Nothing is deleted: damaged files go to `NAME.damaged` next to the session. A damaged file stays in its place
-until the one that replaces it is on disk, so that a repair which a full disk ends can be made again. Plan,
-rig and format are restored from the copies in `files.jsonl`. A frame that is damaged is taken out of the
-journal, so that the session lacks it; whether it may be taken again, although the part may have moved, is
-for the operator to decide.
+A damaged file stays until the one that replaces it is on disk, so that a repair can be made again.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Write a rig file from what is connected: choose each device, open it, and test it.
-
-Nothing is sent to a device that was not chosen, and the file is written only after all have passed.
-"""
+"""Write a rig file from what is connected: choose each device, open it, and test it."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Detection of a whole board in an image, with points located to a small fraction of a pixel.
-
-The kind of board finds its points coarsely. Every point is then refined by fitting a model of its
-surroundings: two blurred edges that cross, or the blurred rim of a disc, on a background whose brightness
-varies linearly.
-"""
+"""Detection of a whole board in an image, with points located to a small fraction of a pixel."""
 
 from __future__ import annotations
 

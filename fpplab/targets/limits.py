@@ -1,7 +1,4 @@
-"""Limits of detection, each with where it comes from: derived, measured or chosen.
-
-They are a named tuple, because compiled functions read them.
-"""
+"""Limits of detection; a named tuple, because compiled functions read them."""
 
 from __future__ import annotations
 

@@ -1,11 +1,8 @@
 """Detection of a board of which only part is in the image, where it is certain which part.
 
-Points are first found as a patch of a lattice, at an unknown place of the board. Then every placement of
-the patch on the board is tried. A placement is valid when each point of the board that should be in the
-image is there, with the right polarity, when the lattice ends where the board does, and when the board's
-edge is visible where it should be in the image: whatever occludes points of the board occludes its edge as
-well, and would otherwise be taken for its end. Only when exactly one placement is valid are the points
-known; otherwise the reason is given.
+A patch of the lattice is found, and every placement of it on the board tried. One is valid when each point
+that should be in the image is there, and the board ends where the lattice does and its edge is visible:
+whatever occludes points of the board occludes its edge as well, and would otherwise be taken for its end.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Points of a board located by least squares: a brightness model fitted to the pixels around each.
-
-Levenberg-Marquardt with the model's derivatives, over all points in one compiled call. Level, linear
-gradient and gain are parameters like the others, and start from the values that fit the model's start best.
-"""
+"""Points of a board located by least squares: a brightness model fitted to the pixels around each."""
 
 from __future__ import annotations
 

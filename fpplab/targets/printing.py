@@ -1,9 +1,4 @@
-"""Boards on paper: one page of vector graphics at true scale, with a ruler to verify it.
-
-The page is drawn in mm, its origin at the lower left corner and y up; the board's centre is the
-page's. What reflects less is printed black and the rest is left as the paper is. Around the board
-are marks to cut it out by, below it a ruler and a legend.
-"""
+"""Boards on paper: one page at true scale in mm, y up, with marks to cut it out and a ruler to verify it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
 """Brightness models of what surrounds a point of a board: two crossing edges, or a disc.
 
-A model has parameters θ of which θ[:2] is the offset of its centre in px. Its level, its linear
-gradient and its gain are fitted with them. Away from its blurred edges a model is ±1, and no parameter
-changes that: those pixels need no error function.
+A model has parameters θ of which θ[:2] is the offset of its centre in px; away from its edges it is ±1.
 """
 
 from __future__ import annotations

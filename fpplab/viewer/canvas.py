@@ -1,7 +1,4 @@
-"""What all views draw with: pictures, maps with their colour bars, curves, points, devices, in rerun's terms.
-
-A canvas writes to one or two of rerun's streams at once: the server's, and a file's.
-"""
+"""What all views draw with: pictures, maps with their colour bars, curves, points, devices."""
 
 from __future__ import annotations
 

@@ -1,16 +1,10 @@
-"""The process that serves the viewer's page, or feeds its window.
+"""The process that serves the viewer's page, or feeds its window; it needs the standard library alone.
 
-It is started by `fpplab.viewer.server`, not imported, and needs the standard library alone. Its standard
-input is a pipe from its parent, with the recording as it grows: when that ends, because the parent wants so
-or because it was killed, this process ends, and rerun with it. It reports on standard output, a line of JSON
-each: its address, then whenever the last page in a browser is closed.
+Its standard input is a pipe from its parent, with the recording as it grows: when that ends, this process
+ends. It reports on standard output, a line of JSON each: its address, then whenever the last page is closed.
 
-rerun's own server gives what is recorded to any page of any site that is open in a browser here, so none runs
-while there is anything to see. The page reads the recording from the server in this process, which answers
-only who knows its random token, by its own name and from its own page; a window gets it through a pipe.
-
-rerun's own page sends usage statistics and loads fonts from the network. It is not used: the page here loads
-rerun's compiled viewer, under a content security policy that lets it reach nothing but this server.
+rerun's own server gives what is recorded to any page of any site, and its page sends usage statistics. So the
+page here loads rerun's compiled viewer, and this server answers only who knows its random token.
 """
 
 from __future__ import annotations

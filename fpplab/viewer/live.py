@@ -1,7 +1,4 @@
-"""The set-up as it goes: the image with what is saturated or dark painted in, histogram, focus, the scene.
-
-Red is saturated, blue stays dark in the projector's light. The timeline `frame` counts the frames.
-"""
+"""The set-up as it goes: the image, red where it is saturated and blue where it stays dark; focus."""
 
 from __future__ import annotations
 

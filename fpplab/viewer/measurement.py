@@ -1,8 +1,4 @@
-"""A measurement as it grows, or a recorded one: images, phase, coordinates, the cloud and both devices.
-
-The scene is in the camera's frame (x right, y down, z forward). The timeline `frame` runs over the images of
-the plan.
-"""
+"""A measurement as it grows, or a recorded one: images, phase, coordinates, the cloud and both devices."""
 
 from __future__ import annotations
 

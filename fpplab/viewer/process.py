@@ -1,8 +1,7 @@
 """The process that draws: it keeps rerun, its memory and its faults out of the process that measures.
 
-`fpplab.viewer.viewer` starts it and pickles to its standard input first an `Opening`, then pairs of a view's
-method and its arguments. It reports on standard output, a line of JSON each: where it is shown, why it
-ended, and whenever the operator has closed the view.
+Its standard input is pickled: an `Opening`, then pairs of a view's method and its arguments. It reports on
+standard output, a line of JSON each: where it is shown, why it ended, and whenever the view was closed.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""The viewer as commands use it: a measurement is never slowed, stopped or outlived by it.
-
-What is to be shown goes through a queue and a thread to a process that draws it (`fpplab.viewer.process`).
-Where the process is too slow, images are left out; where it fails or is closed, that is logged once and
-nothing more is shown. The process ends with this one, however this one ends.
-"""
+"""The viewer as commands use it: a measurement is never slowed, stopped or outlived by it."""
 
 from __future__ import annotations
 

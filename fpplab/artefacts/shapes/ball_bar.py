@@ -1,7 +1,4 @@
-"""The ball bar: a standard for acceptance tests.
-
-Its centre distance and diameters are exact; the facets stay within a micrometre of the spheres.
-"""
+"""The ball bar: a standard for acceptance tests, its facets within a micrometre of the spheres."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Segmentation: finding a standard's spheres and plane in a cloud, and selecting the points to evaluate.
+"""Finding a standard's spheres and plane in a cloud, and selecting the points to evaluate.
 
-Points are selected by geometry alone: every point whose camera ray meets the sphere's cap or the
-plane inside its edges, wherever the point itself was measured. A rule that depended on the distances
-from the fit would leave out the very errors that the test measures.
+Points are selected by their camera rays alone: a rule that depended on their distances from the fit would
+leave out the very errors that the test measures.
 """
 
 from __future__ import annotations

@@ -2,10 +2,6 @@
 
 The two are: phase steps are exchanged between fringe sets; and all stripe counts are stretched together, so
 that the ratio from set to set, at which fringe orders begin to fail, grows equally everywhere.
-
-Moves have the length `first` as a share of a parameter's range, and are halved whenever none improves. A move
-that improves is tried at double length at once. Only comparisons are used, which common random numbers make
-exact, so no slope is needed near a limit.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""Gradient descent by finite differences, as in the paper, for comparison.
-
-Continuous parameters move down the slope at a fixed rate; integers by 1 towards the neighbour with the lower
-objective. The search stops when the objective has not decreased by `gain` within `patience` epochs: 1 µm and
-five epochs in the paper.
-"""
+"""Gradient descent by finite differences, as in the paper, for comparison."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""NSGA-II (optuna) over all parameters together, seeded with the results of single-parameter searches.
-
-First come the single-parameter optima, which a front must contain or dominate: phase counts, added image by
-image from the fewest on; stripes and geometry by coordinate search. Then every phase plan with the stripes
-and the geometry found, which makes up most of a front. Then the generations of NSGA-II, and finally a
-refinement of the continuous parameters.
-"""
+"""NSGA-II (optuna) over all parameters together, seeded with the results of single-parameter searches."""
 
 from __future__ import annotations
 

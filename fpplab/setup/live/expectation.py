@@ -1,9 +1,4 @@
-"""What the geometry of a characterised rig and its present light promise for a plan.
-
-Both fields overlap over a range of distances; at the working distance the noise of the grey levels becomes
-one of the projector's coordinate, through the modulation of every fringe set, and one along the camera's
-ray, through the change of the coordinate along it. The calibration's own uncertainty is given separately.
-"""
+"""What the geometry of a characterised rig and its present light promise for a plan at a working distance."""
 
 from __future__ import annotations
 

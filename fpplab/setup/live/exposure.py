@@ -1,9 +1,6 @@
 """The exposure that uses the camera's range: as long as allowed, and gain only for what is then missing.
 
-The brightest lit pixels are to reach `ExposureGoals.peak` of full scale. Their level above the camera's black
-level is proportional to exposure and gain, so one step leads there from anything that is not saturated. What
-the devices do not allow is reported, never applied silently: the camera's limits, and the period in which a
-projector shows its bit planes, of which an exposure must be a whole number.
+The level above black is proportional to exposure and gain, so one step leads to `ExposureGoals.peak`.
 """
 
 from __future__ import annotations

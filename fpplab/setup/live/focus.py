@@ -1,10 +1,4 @@
-"""How sharp camera and projector are, by region, and how sharp they have been.
-
-Camera: the RMS of the image's gradient under even light, per px and relative to its level. Noise would pass
-for sharpness; so the gradients of two images of the same scene are multiplied, whose noise is independent.
-Projector: the modulation of the finest stripes over that of the widest, which neither exposure nor the
-part's colour changes.
-"""
+"""How sharp camera and projector are, by region, and how sharp they have been."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """The page of the set-up: a small server on this computer alone, for the buttons and the present state.
 
-Foreign pages that are open in the same browser can neither read nor order anything: every address contains
-a random token, a request must be for this very host and port (which a name that was made to point here does
-not), and orders must come from the page itself.
+Foreign pages in the same browser can neither read nor order anything: addresses hold a random token, and
+requests must be for this very host and port, orders from the page itself.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""How far a triggered exposure is shifted against its pattern, by the greys that its frames mix.
-
-An exposure that begins late ends in the next pattern, or in the darkness before it; one that begins early
-begins in the pattern before. Light adds, so each triggered level is a sum of the levels which the stepped run
-saw of its own pattern and of a neighbour, whatever the response and the scene.
-"""
+"""How far a triggered exposure is shifted against its pattern: light of two patterns adds in its level."""
 
 from __future__ import annotations
 

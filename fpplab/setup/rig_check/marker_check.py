@@ -1,9 +1,7 @@
 """Synchronisation check of a rig by a marker: uniform grey-level images in an order that reveals every slip.
 
-The levels that a camera sees of uniform grey-level images must rise with them, whatever the response, the
-scene and the exposure. In the order shown neighbours differ by a third of all levels or more, so that a
-frame that shows another's grey level stands out, and each fault of `synchronisation` either fits the levels
-that were seen or does not.
+Levels must rise with the grey levels shown, whatever the scene. Neighbours in the order differ by a third of
+all levels or more, so that a frame of another image stands out.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Kinds of boards: a module each, named as the `kind` of a target file.
-
-A module defines one subclass of `BoardLayout`, with the kind's own fields as fields of the class. Adding a
-module adds a kind: nothing else has to name it.
-"""
+"""Kinds of boards: a module each, with one subclass of `BoardLayout`, named as target files name it."""
 
 from __future__ import annotations
 
