@@ -48,5 +48,4 @@ class SteppedClock:
         return self._now_s
 
     def sleep(self, seconds: float) -> None:
-        """Advance the simulated time at once."""
         self._now_s += max(0.0, seconds)

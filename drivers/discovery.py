@@ -180,7 +180,6 @@ def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
 
 
 def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
-    """List LightCrafter 4500 projectors on USB."""
     # The controller presents several HID interfaces; only the one that takes commands is listed: number 0, or
     # -1 where the system reports no number.
     import hid

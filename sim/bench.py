@@ -62,7 +62,6 @@ class VirtualBenchOptions(Document):
 
 
 def _world_without_displacement(world: World) -> World:
-    """Make the same world without the effects that displace the item."""
     data = world.model_dump(mode="json")
     for effect in EFFECTS:
         if effect.displacement_size_mm(world):

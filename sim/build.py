@@ -31,7 +31,6 @@ class SceneState:
     convergence_deg: float = 0.0  # turn of the projector towards the camera, in degrees
 
     def T_projector_camera(self, world: World) -> RigidTransform:
-        """Compute the pose of the camera in the projector's frame in this state."""
         return world.T_projector_camera(self.stage_mm, self.convergence_deg)
 
 

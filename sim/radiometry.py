@@ -43,7 +43,6 @@ class Led:
 
     @property
     def watts(self) -> float:
-        """Radiant flux, W."""
         return self.lumens / (LUMENS_PER_WATT * photopic_efficiency(self.wavelength_nm))
 
 
@@ -92,5 +91,4 @@ def _photon_energy(wavelength_nm: float) -> float:
 
 
 def gain_factor(gain_db: float) -> float:
-    """Convert a camera's gain to a factor."""
     return float(10 ** (gain_db / 20))

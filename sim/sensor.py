@@ -33,7 +33,6 @@ class SensorModel:
 
     @classmethod
     def of(cls, world: World) -> SensorModel:
-        """Make the sensor of a world's camera."""
         camera = world.camera
         return cls(camera.sensor, camera.binning, white_photons_per_s(world), world.seed)
 

@@ -247,7 +247,6 @@ class Twin:
         return displacement_mm(self.world, random, frame)
 
     def mesh(self, item: str) -> trimesh.Trimesh:
-        """Give the true shape of an artefact or part."""
         return part_mesh(self.world, item)
 
     def pose_of(self, item: str) -> RigidTransform:

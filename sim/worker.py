@@ -46,11 +46,9 @@ class Blender:
 
     @property
     def pid(self) -> int | None:
-        """The process's id, or None when there is none."""
         return self._process.pid if self._process and self._process.poll() is None else None
 
     def start(self) -> None:
-        """Start the process unless it runs."""
         if self.pid is not None:
             return
         need_extra("bpy")

@@ -89,7 +89,6 @@ class BaslerCamera(GenicamCamera):
             self._present_caps = self._read_caps()
 
     def save_features(self, path: Path) -> None:
-        """Write all settings of the camera to a .pfs file."""
         self._need(State.IDLE, doing="save_features")
         with self._guard("save_features"):
             text = pylon.FeaturePersistence.SaveToString(self._camera.GetNodeMap())

@@ -88,7 +88,6 @@ BASLER_RAW: RawSettings = (
 
 
 def family_of(model: str) -> Family | None:
-    """Find a model's family."""
     return next((family for family in FAMILIES if re.match(family.models, model)), None)
 
 

@@ -55,7 +55,6 @@ class SdlDisplay:
 
     @property
     def pid(self) -> int | None:
-        """Process id; None while there is no process."""
         return self._process.pid if self._process is not None else None
 
     def open(self) -> None:

@@ -32,7 +32,6 @@ WAKING = Polling(step_s=0.1, limit_s=5.0)  # from standby: TI's GUI allows 2 s, 
 
 
 def delay_code(us: float) -> int:
-    """Convert a trigger delay to the controller's unit."""
     return protocol.ZERO_DELAY_CODE + round(us / protocol.DELAY_STEP_US)
 
 
@@ -64,7 +63,6 @@ class ProjectorBoard:
         return ".".join(str(read[f"{firmware_part}_{field}"]) for field in ("major", "minor", "patch"))
 
     def firmware_tag(self) -> str:
-        """Read the firmware's name."""
         return self.link.read_bytes(protocol.FIRMWARE_TAG).split(b"\0")[0].decode("ascii", "replace")
 
     def is_standby(self) -> bool:
@@ -204,7 +202,6 @@ class ProjectorBoard:
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
 
     def is_locked(self) -> bool:
-        """Tell whether the video port has a stable signal."""
         return self.link.read(protocol.VIDEO_SIGNAL)["lock"] == protocol.LOCKED
 
     def images_in_flash(self) -> int:

@@ -58,7 +58,6 @@ class Controller(ProjectorBoard):
         self.validate()
 
     def validate(self) -> None:
-        """Have the controller validate the configured sequence."""
         # Warnings do not keep a sequence from running: patterns from the video port always have that of
         # missing black. They are stored, to be reported if it does not run.
         self.link.write(protocol.VALIDATE)

@@ -45,7 +45,6 @@ class UsbMessage:
 
     @property
     def failed(self) -> bool:
-        """Whether the device reports that it did not execute the request."""
         return bool(self.flags & ERROR)
 
     def reports(self) -> list[bytes]:
@@ -73,7 +72,6 @@ def parse_header(report: bytes) -> Header:
 
 
 def continuation_reports(length: int) -> int:
-    """Count the reports that follow the first one of a message."""
     return max(0, -(-(length - FIRST_BYTES) // REPORT_BYTES))
 
 

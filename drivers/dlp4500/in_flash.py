@@ -38,12 +38,10 @@ class InFlash:
 
     @property
     def longest_us(self) -> int:
-        """The controller's own limit."""
         return MAX_EXPOSURE_US
 
     @property
     def gap_us(self) -> int:
-        """The controller's own limit."""
         return MIN_GAP_US
 
     @property

@@ -132,7 +132,6 @@ class Program:
 
     @property
     def duration_s(self) -> float:
-        """Duration of one run in s."""
         return len(self.entries) * self.period_us * 1e-6
 
     def pattern_table(self) -> bytes:

@@ -55,7 +55,6 @@ class BenchPylon(EmulatedPylon):
         return waiting[0] if waiting else None
 
     def read_out(self, settings: CameraSettings, collected: CollectedLight) -> Image:
-        """Read the sensor out after an exposure."""
         picture = self._render(settings, collected)
         image: Image = np.zeros(self.size[::-1], raw_dtype(settings.bits))
         image[: picture.shape[0], : picture.shape[1]] = picture
@@ -90,7 +89,6 @@ class BenchCamera(EmulatedCamera):
         self._frame_coming = not self.unplugged
 
     def waits_for_pulse(self) -> bool:
-        """Return whether a pulse on the trigger line starts an exposure."""
         with suppress(genicam.GenericException):  # it is being closed, or is gone
             mode, source = self._features.read(TRIGGER_MODE), self._features.read(TRIGGER_SOURCE)
             return not self.unplugged and (mode, source) == ("On", LINE) and bool(self.instant.IsGrabbing())

@@ -81,7 +81,6 @@ class EmulatedPylon(Pylon):
             os.environ[CAMERA_COUNT_VARIABLE] = self._before
 
     def attach(self, info: Any) -> EmulatedCamera:
-        """Create the camera of a device, as `Pylon.attach` does."""
         serial = info.GetSerialNumber()
         if not self._is_plugged:
             raise genicam.RuntimeException(
@@ -116,7 +115,6 @@ class EmulatedPylon(Pylon):
         self._is_plugged = True
 
     def cameras(self) -> dict[str, Any]:
-        """List the emulated cameras, as `Pylon.cameras` does."""
         return super().cameras() if self._is_plugged else {}
 
     def _layer(self) -> Any:

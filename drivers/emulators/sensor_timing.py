@@ -29,7 +29,6 @@ class SensorTiming(Document):
     """By how many millionths the camera's times are longer than it reports."""
 
     def reported_rate_hz(self, exposure_s: float) -> float:
-        """Compute the resulting frame rate that the camera reports."""
         rate_hz = 1.0 / (max(exposure_s, self.readout_us * 1e-6) + self.dead_us * 1e-6)
         steps_per_hz = 100  # of the frame rate that pylon's emulator can report
         return max(int(rate_hz * steps_per_hz), 1) / steps_per_hz

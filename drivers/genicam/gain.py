@@ -23,7 +23,6 @@ class CameraGain:
         self._own = GAIN_RAW if in_db else GAIN_DB
 
     def limits_db(self) -> tuple[float, float]:
-        """Read the range of gains at present."""
         if self._in_db:
             return self._features.limits(GAIN_DB)
         if self._conversion is None or not self._features.has(self._own):

@@ -18,15 +18,12 @@ class MissingNode:
     """A feature that the camera does not have."""
 
     def IsValid(self) -> bool:
-        """Say no: the feature is missing."""
         return False
 
     def IsReadable(self) -> bool:
-        """Say no: the feature is missing."""
         return False
 
     def IsWritable(self) -> bool:
-        """Say no: the feature is missing."""
         return False
 
 
@@ -40,11 +37,9 @@ class SwitchNode:
         return bool(self._mode() != genapi.EAccessMode.NI)
 
     def IsReadable(self) -> bool:
-        """Return whether the value can be read at present."""
         return self._mode() in READABLE
 
     def IsWritable(self) -> bool:
-        """Return whether the value can be set at present."""
         return self._mode() in WRITABLE
 
     def GetValue(self) -> Any:
@@ -78,7 +73,6 @@ class ChoiceNode(SwitchNode):
     """An enumeration."""
 
     def GetSettableValues(self) -> tuple[str, ...]:
-        """Return the names that it can be set to at present."""
         return tuple(entry.symbolic for entry in self._node.entries if entry.get_access_mode() in READABLE)
 
 

@@ -76,7 +76,6 @@ class GentlEnd:
         self.first_number = FIRST_FRAME.get(reported_property(info, "tl_type"))
 
     def GetNodeMap(self) -> GentlNodeMap:
-        """Return the camera's node map."""
         return GentlNodeMap(self._acquirer.remote_device.node_map)
 
     def start(self, frames: int) -> None:

@@ -69,7 +69,6 @@ class Mechanics:
 
     @classmethod
     def of(cls, settings: dict[int, float], axis: int) -> Mechanics:
-        """Derive the properties of an axis from the controller's settings."""
         unit_mm, digit = (MM_PER_INCH, DIGIT_INCH) if settings[13] else (1.0, DIGIT_MM)
         step_mm, pull_off_mm = 1.0 / settings[100 + axis], settings[27]
         seek_mm_s, slow_mm_s, pause_s = settings[25] / 60, settings[24] / 60, settings[26] / 1000

@@ -95,7 +95,6 @@ class GrblWire:
         )
 
     def await_ok(self, operation: str, line: str, timeout_s: float) -> None:
-        """Wait for the `ok` to the line sent."""
         if not self.wait_for_answer(operation, line, timeout_s):
             raise DeviceTimeoutError(
                 self._name,

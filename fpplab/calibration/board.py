@@ -63,10 +63,8 @@ class FittedBoardFile(Document):
 
     @classmethod
     def of(cls, board: FittedBoard) -> FittedBoardFile:
-        """Convert a board to its form in a file."""
         rows = tuple((x, y, z) for x, y, z in np.round(board.points, 5).tolist())
         return cls(target=board.target, points_mm=rows, errors=board.errors)
 
     def board(self) -> FittedBoard:
-        """Convert to the board."""
         return FittedBoard(self.target, np.array(self.points_mm, float).reshape(-1, 3), self.errors)

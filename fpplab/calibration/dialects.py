@@ -186,7 +186,6 @@ def _json(path: Path, text: str) -> dict[str, Any]:
 
 
 def _plain_matrices(content: dict[Any, Any]) -> dict[str, Any]:
-    """Convert lists of numbers, and mappings of rows, columns and data, to arrays."""
     return {str(name): _plain_matrix(value) for name, value in content.items()}
 
 

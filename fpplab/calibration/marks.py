@@ -48,7 +48,6 @@ class LocatedMarksFile(Document):
 
     @classmethod
     def of(cls, marks: LocatedMarks) -> LocatedMarksFile:
-        """Convert marks to their form in a file."""
         camera, projector = (
             tuple((u, v) for u, v in np.round(pixels, 5).tolist())
             for pixels in (marks.camera_px, marks.projector_px)
@@ -58,7 +57,6 @@ class LocatedMarksFile(Document):
         )
 
     def marks(self) -> LocatedMarks:
-        """Convert to the marks."""
         camera, projector = (
             np.array(pixels, float).reshape(-1, 2) for pixels in (self.camera_px, self.projector_px)
         )

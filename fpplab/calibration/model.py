@@ -390,7 +390,6 @@ class PinholeFile(Document):
 
     @classmethod
     def of(cls, device: Pinhole) -> PinholeFile:
-        """Convert a device's model to its form in a file."""
         k = device.matrix
         return cls(
             size=device.size,
@@ -401,7 +400,6 @@ class PinholeFile(Document):
         )
 
     def model(self) -> Pinhole:
-        """Convert to the device's model."""
         return Pinhole.from_focal(self.size, self.focal_px, self.centre_px, self.distortion, self.lattice)
 
 
@@ -414,12 +412,10 @@ class PoseFile(Document):
     """Translation in mm."""
 
     def transform(self) -> RigidTransform:
-        """Convert to a rigid transform."""
         return RigidTransform.from_vectors(np.radians(self.rotation_deg), np.array(self.translation_mm))
 
     @classmethod
     def of(cls, transform: RigidTransform) -> PoseFile:
-        """Convert a rigid transform to its form in a file."""
         rotation, translation = np.degrees(transform.rotation_vector).tolist(), transform.translation.tolist()
         return cls(rotation_deg=tuple(rotation), translation_mm=tuple(translation))
 
@@ -447,7 +443,6 @@ class UncertaintyFile(Document):
 
     @classmethod
     def of(cls, uncertainty: Uncertainty) -> UncertaintyFile:
-        """Convert an uncertainty to its form in a file."""
         rows = (uncertainty.covariance * cls._units(uncertainty.names)).tolist()
         return cls(names=uncertainty.names, covariance=tuple(tuple(row) for row in rows))
 
@@ -492,7 +487,6 @@ class CalibrationFile(Document):
 
     @classmethod
     def of(cls, calibration: Calibration) -> CalibrationFile:
-        """Convert a calibration to its form in a file."""
         uncertainty = calibration.uncertainty
         return cls(
             camera=PinholeFile.of(calibration.camera),
@@ -507,7 +501,6 @@ class CalibrationFile(Document):
         )
 
     def calibration(self) -> Calibration:
-        """Convert to a calibration."""
         uncertainty = self.uncertainty.uncertainty() if self.uncertainty else None
         pose, board = self.T_projector_camera.transform(), self.board.board() if self.board else None
         devices = self.camera.model(), self.projector.model()

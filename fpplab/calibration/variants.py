@@ -49,7 +49,6 @@ def export_calibration(calibration: Calibration, path: Path | str, layout: str |
 
 
 def layout_of(path: Path) -> str:
-    """Tell which layout a path's suffix stands for."""
     for name, (suffixes, _) in LAYOUTS.items():
         if path.suffix.lower() in suffixes:
             return name

@@ -21,7 +21,6 @@ def calibration_of(
     rms_px: dict[str, float],
     uncertainty: Uncertainty,
 ) -> Calibration:
-    """Make a calibration."""
     assert model.image_sizes is not None
     errors = FittedErrors(
         camera_px=sizes.camera_px,

@@ -39,7 +39,6 @@ def board_grid(size_mm: tuple[float, float], rim_mm: float = 0.0) -> Floats:
 
 
 def visible_shares(calibration: Calibration, places: Floats) -> Floats:
-    """Compute the share of points that camera and projector both see."""
     # places (..., K, 3) mm
     visible: Mask = calibration.camera.sees(places)
     visible &= calibration.projector.sees(places, calibration.T_projector_camera)

@@ -78,7 +78,6 @@ class Combination:
         return tuple(name for name, quantity in self.quantities.items() if quantity.exceeds)
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab characterise --combine --json` prints."""
         return {
             "factor": self.factor,
             "probabilities": self.probabilities,

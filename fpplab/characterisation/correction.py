@@ -53,7 +53,6 @@ class Correction:
         return tuple(name for name, chance in self.probabilities.items() if 0.05 < chance < 0.95)
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab characterise --correct --json` prints."""
         return {
             "needed": self.before.contradicted,
             "probabilities": self.probabilities,

@@ -55,13 +55,11 @@ class JointEstimate:
             return estimate_uncertainty(self.observations, self.solution, exact, self.sizes).covariance
 
     def with_pose(self, observation: Observation) -> JointEstimate:
-        """Fit one more pose together with the others."""
         pose = fit_pose(observation, self.solution, self.started_pose(observation))
         start = replace(self.solution, poses=np.vstack([self.solution.poses, pose]))
         return self._fitted((*self.observations, observation), start)
 
     def without_pose(self, index: int) -> JointEstimate:
-        """Fit the poses but one."""
         others = tuple(o for k, o in enumerate(self.observations) if k != index)
         return self._fitted(others, without_poses(self.solution, index))
 

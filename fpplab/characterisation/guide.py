@@ -141,7 +141,6 @@ class Guide:
         return filling
 
     def exclude(self, pose: WantedPose) -> None:
-        """Never ask for this pose or similar ones again."""
         if pose.T_camera_target is not None:
             self._excluded.append(pose.T_camera_target)
 
@@ -171,7 +170,6 @@ class Guide:
         return outlying
 
     def drop(self, name: str) -> None:
-        """Take a pose out again."""
         index = [o.name for o in self.observations].index(name)
         del self.observations[index]
         if len(self.observations) < len(FIRST_POSES):
@@ -180,7 +178,6 @@ class Guide:
             self.estimate = self.estimate.without_pose(index)
 
     def rms_px(self, name: str) -> dict[str, float]:
-        """Compute the residuals of a pose in the fit of all."""
         if self.estimate is None:
             return {}
         index = [o.name for o in self.observations].index(name)

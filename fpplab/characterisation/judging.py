@@ -109,7 +109,6 @@ class Judgement:
         return f"the calibration holds: {figures}"
 
     def summary(self) -> dict[str, Any]:
-        """Return the figures that the command line prints as JSON."""
         return {
             "contradicted": self.contradicted,
             "verdict": self.verdict,
@@ -212,12 +211,10 @@ class CalibrationAsFitted:
         return np.repeat([self.errors.camera_shared_px, self.errors.projector_shared_px], 2 * FUNCTIONS)
 
     def parameters(self) -> Floats:
-        """List the parameters of both devices, (n,)."""
         free, devices = len(self.level.terms), self.devices
         return np.concatenate([devices.camera[:free], devices.projector[:free], devices.T_projector_camera])
 
     def with_parameters(self, parameters: Floats) -> CalibrationAsFitted:
-        """Replace the parameters of both devices."""
         free = len(self.level.terms)
         camera, projector, pair = np.split(parameters, [free, 2 * free])
         lenses = [np.append(lens, np.zeros(len(INTRINSICS) - free)) for lens in (camera, projector)]

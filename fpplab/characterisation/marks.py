@@ -124,7 +124,6 @@ def compare_marks(calibration: Calibration, marks: LocatedMarks, seen: Observati
 
 
 def triangulate_marks(calibration: Calibration, marks: LocatedMarks) -> Floats:
-    """Triangulate the points of marks as they were seen with the characterisation."""
     # returns (K, 3) mm
     camera, projector, pose = calibration.camera, calibration.projector, calibration.T_projector_camera
     rays = [

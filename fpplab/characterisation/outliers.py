@@ -32,7 +32,6 @@ def find_moved_pose(
 def rejectable_points(
     observations: Sequence[Observation], limits: CharacterisationLimits = USUAL_LIMITS
 ) -> list[int]:
-    """Compute how many points of each pose may be rejected."""
     return [int(limits.max_rejected_share * len(o.ids)) for o in observations]
 
 

@@ -94,7 +94,6 @@ class Solution:
         return replace(self, poses=pose[None], steps=steps, ages=self.ages[:0] if age is None else age)
 
     def residuals(self, index: int, observation: Observation) -> tuple[Floats, Floats]:
-        """Compute the reprojection errors of one pose."""
         # returns camera (K, 2) px, projector (K, 2) px
         points, pose = self.board[observation.ids], self.poses[index]
         camera_errors = project_with_derivatives(points, pose, self.camera)[0] - observation.camera_px

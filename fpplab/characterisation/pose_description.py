@@ -36,7 +36,6 @@ def describe_pose(pose: RigidTransform, camera: Pinhole, first_mm: float) -> str
 
 
 def outline_px(pose: RigidTransform, camera: Pinhole, size_mm: tuple[float, float]) -> Floats:
-    """Draw a board's outline in the camera's image."""
     # size_mm (width, height) mm; returns (40, 2) px
     x, y = 0.5 * size_mm[0], 0.5 * size_mm[1]
     corners = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])

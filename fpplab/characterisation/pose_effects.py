@@ -53,7 +53,6 @@ class PoseEffects:
         return np.flatnonzero(self.device == 0), np.flatnonzero(self.device == 1)
 
     def without(self, rows: NDArray[np.intp]) -> PoseEffects:
-        """Leave effects out."""
         remaining = np.delete(np.arange(len(self.scores)), rows)
         return PoseEffects(
             self.scores[remaining],

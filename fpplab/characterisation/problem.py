@@ -62,7 +62,6 @@ class Problem:
 
     @property
     def length(self) -> int:
-        """Number of parameters."""
         return self._steps_from + self.near.steps.size
 
     @property
@@ -121,7 +120,6 @@ class Problem:
         return of_board & (axis < 2), of_board & (axis == 2)
 
     def pack(self, solution: Solution) -> Floats:
-        """Pack the estimated parameters of a solution."""
         # returns (n,)
         n = self._free
         parts = [
@@ -137,7 +135,6 @@ class Problem:
         return np.concatenate(parts)
 
     def unpack(self, vector: Floats) -> Solution:
-        """Unpack a vector of estimated parameters."""
         # vector (n,)
         projector, pair, carried, poses, board = self.vector_offsets
         held, steps = np.zeros(len(INTRINSICS) - self._free), self._steps_from
@@ -203,7 +200,6 @@ class Problem:
         return np.asarray(whole.reshape(shape))
 
     def unwhitened(self, pose_index: int, whitened_rows: Floats, camera_error_share: float) -> Floats:
-        """Make residuals of one pose of whitened ones; inverse of `whitened`."""
         shape = whitened_rows.shape
         camera, projector = whitened_rows.reshape(2, shape[0] // 4, 2, -1)
         camera = camera * self.sizes.camera_px
@@ -213,7 +209,6 @@ class Problem:
         return np.asarray(np.stack([camera, projector]).reshape(shape))
 
     def errors(self, vector: Floats) -> tuple[Floats, Floats]:
-        """Compute the whitened residuals of the points."""
         # vector (n,); returns camera (R,), projector (R,)
         solution = self.unpack(vector)
         pairs = [
@@ -224,7 +219,6 @@ class Problem:
         return np.concatenate(cameras), np.concatenate(projectors)
 
     def misfit(self, vector: Floats) -> Floats:
-        """Compute all residuals."""
         # vector (n,); returns (R,)
         return np.concatenate([*self.errors(vector), self.prior_residuals(vector)])
 
@@ -298,6 +292,5 @@ class Problem:
 
 
 def without_poses(solution: Solution, held: Sequence[int] | int) -> Solution:
-    """Leave poses out of a solution."""
     ages = np.delete(solution.ages, held) if len(solution.ages) else solution.ages
     return replace(solution, poses=np.delete(solution.poses, held, axis=0), ages=ages)

@@ -64,11 +64,9 @@ class Characterisation:
 
     @property
     def points(self) -> int:
-        """Number of points used, of all poses together."""
         return sum(len(o.ids) for o in self.observations)
 
     def summary(self) -> dict[str, Any]:
-        """Return the figures that the command line prints as JSON."""
         figures = self.calibration.rms_px
         return {
             "camera": {"rms_px": figures["camera"]},
@@ -97,7 +95,6 @@ class Characterisation:
         return {"limits": changed} if changed else {}
 
     def facts(self) -> dict[str, str]:
-        """Return the facts for the head of a report."""
         facts = {"Model": _terms(self.level)}
         for trial in self.trials:
             facts[f"Error with {trial.level}"] = _errors_text(trial)

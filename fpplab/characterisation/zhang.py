@@ -147,7 +147,6 @@ def transform(vectors: Floats) -> RigidTransform:
 
 
 def rms_of_poses(observations: Sequence[Observation], solution: Solution) -> Floats:
-    """Compute the RMS of each pose over both devices."""
     # returns (M,) px
     return np.array([rms(solution.residuals(i, o)) for i, o in enumerate(observations)])
 

@@ -87,17 +87,14 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """The cause with its evidence."""
         return f"{self.cause}: {self.evidence}"
 
     @property
     def remedy(self) -> str:
-        """What to do."""
         text = self.advice or self.cause.remedy
         if self.behind:
             text = f"see to {self.behind} first, which may be all that shows here; if this remains, {text}"
         return f"{text}; multiply exposure_s by {self.factor:.2g}" if self.factor else text
 
     def summary(self) -> dict[str, str]:
-        """Collect what is printed."""
         return {"cause": self.cause.key, "evidence": self.evidence, "remedy": self.remedy}

@@ -27,17 +27,14 @@ class Nodes:
         return self._operate("ShaderNodeVectorMath", operation, values).outputs["Vector"]
 
     def dot(self, vector: Any, other: Any) -> Any:
-        """Add the scalar product of two vectors."""
         return self._operate("ShaderNodeVectorMath", "DOT_PRODUCT", (vector, other)).outputs["Value"]
 
     def scaled(self, vector: Any, factor: Any) -> Any:
-        """Add the product of a vector and a number."""
         node = self._operate("ShaderNodeVectorMath", "SCALE", (vector,))
         self.join(factor, node.inputs["Scale"])
         return node.outputs["Vector"]
 
     def combine(self, kind: str, values: tuple[Any, ...]) -> Any:
-        """Add a vector or colour made from its components."""
         node = self.add(kind)
         for value, socket in zip(values, node.inputs, strict=False):
             self.join(value, socket)

@@ -41,7 +41,6 @@ class Dataset:
         self.indices = [k for k in range(self.card["samples"]) if k // size in complete]
 
     def split(self, name: str) -> Self:
-        """Select the samples of one split."""
         if name not in SPLITS:
             raise ConfigError(
                 f"{self.folder}: has no split '{name}'; it has {', '.join(dict.fromkeys(SPLITS))}"

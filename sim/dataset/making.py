@@ -108,7 +108,6 @@ class DatasetMaker:
             rig.stage.home()
 
     def card(self) -> dict[str, Any]:
-        """Make the data set's card."""
         request = self._request
         recipe = {
             "samples": request.samples,

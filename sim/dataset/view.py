@@ -61,8 +61,6 @@ class SampleView(CommandView):
 
 
 def sample_observer(viewer: Viewer[SampleView]) -> SampleObserver:
-    """Make the observer of a data set's making that shows its samples."""
-
     def observe(arrays: Arrays, record: dict[str, Any]) -> None:
         shown = {name: subsample_columns(arrays[name]).copy() for name in SHOWN if name != "wrapped_phase"}
         shown["wrapped_phase"] = subsample_columns(arrays["wrapped_phase"][-1]).copy()

@@ -39,7 +39,6 @@ class BlurredPictures:
 
 
 def unblurred_picture(picture: NDArray[np.uint8] | None) -> BlurredPictures:
-    """Make the print without blur."""
     share = np.ones((1, 1), np.float32) if picture is None else picture / np.float32(255)
     rows, columns = share.shape
     even = np.ones((1, max(rows, columns)), np.float32)

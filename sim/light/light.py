@@ -110,7 +110,6 @@ class Light:
     def irradiance(
         self, setup: SceneState, show: ShownPattern | None, row_weights: Floats | None = None
     ) -> PatternLevels:
-        """Compute the irradiance that the camera sees."""
         # row_weights (bits, height); returns (height, width)
         width, height = self._world.camera.size
         is_empty = setup.item == NOTHING and not self._around

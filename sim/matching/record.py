@@ -28,7 +28,6 @@ class _ParametersForm(Document):
 
     @classmethod
     def of(cls, parameters: TwinParameters) -> Self:
-        """Convert parameters to plain data."""
         return cls.model_validate(
             {
                 "calibration": CalibrationFile.of(parameters.calibration),

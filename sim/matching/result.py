@@ -46,7 +46,6 @@ class MatchingFigures:
     appearance: AppearanceTrial | None = None
 
     def by_pose(self) -> list[dict[str, Any]]:
-        """Give the figures of every pose before and after the matching."""
         before, after = (evaluation.by_pose_name(self.reference) for evaluation in (self.before, self.final))
         return [
             {

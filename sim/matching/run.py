@@ -75,7 +75,6 @@ class MatchingResult(MatchingFigures):
         return (*self.noted, *accepted_findings(self))
 
     def summary(self) -> dict[str, Any]:
-        """Give the figures as plain data, as the command line prints them."""
         loss, parameters = self.final.loss.summary(), self.matched.parameters
         light = {name: getattr(parameters, name) for name in TABLE}
         return {

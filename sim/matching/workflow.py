@@ -56,7 +56,6 @@ class MatchResult:
     report_file: Path
 
     def summary(self) -> dict[str, Any]:
-        """Give the figures as plain data, as the command line prints them."""
         return {
             **self.matching.summary(),
             "seconds": self.seconds,
@@ -88,7 +87,6 @@ class SurfacesResult:
     rig_file: Path
 
     def summary(self) -> dict[str, Any]:
-        """Give the figures as plain data, as the command line prints them."""
         return {
             "surfaces": [surface.summary() for surface in self.surfaces],
             "notes": list(self.notes),

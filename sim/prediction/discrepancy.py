@@ -128,7 +128,6 @@ class Discrepancy(Document):
     """For which measurements the twin must not be trusted."""
 
     def save(self, folder: Path) -> None:
-        """Write the file."""
         write_text(folder / DISCREPANCY, config.dump(self))
 
     @classmethod

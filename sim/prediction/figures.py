@@ -37,7 +37,6 @@ class MeasuredFigures:
     wrong_order: float  # mean probability that the fringe order of a point is wrong, by noise alone
 
     def summary(self) -> dict[str, float]:
-        """Give plain values."""
         return asdict(self)
 
 

@@ -68,7 +68,6 @@ class Prediction:
     lengths: tuple[PredictedLength, ...] = ()  # of an artefact
 
     def summary(self) -> dict[str, Any]:
-        """Give plain values, as the command line prints them."""
         discrepancy = self.discrepancy
         return {
             "item": self.item,

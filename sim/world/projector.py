@@ -46,7 +46,6 @@ class ResponseSection(Document):
         return self
 
     def curve(self) -> Curve:
-        """Give the response as a curve."""
         return Curve(a=self.a, b=self.b, g=self.g, spline=self.spline)
 
 
@@ -130,5 +129,4 @@ class ProjectorWorld(ProjectorEffects, ProjectorDevice):
         )
 
     def texture(self) -> MirrorTexture:
-        """Make the texture of the projector's mirrors."""
         return MirrorTexture(self.size, self.lattice, self.blur, self.fill_factor)

@@ -188,7 +188,6 @@ class World(WorldEffects, WorldContents):
         return None
 
     def is_translucent(self, name: str) -> bool:
-        """Return whether light enters an item and leaves it elsewhere."""
         return self.material_of(name).subsurface
 
     @property
@@ -200,7 +199,6 @@ class World(WorldEffects, WorldContents):
 
     @classmethod
     def load(cls, path: Path | str) -> World:
-        """Read a world file."""
         # A relative name of a mesh, picture, target or calibration file is looked for next to the world file
         # first.
         file = config.find_config(path, "world")
@@ -229,7 +227,6 @@ class World(WorldEffects, WorldContents):
         return folder / name
 
     def binned(self, binning: Binning) -> World:
-        """Make the same world with another binning of its camera."""
         data = self.model_dump(mode="json")
         data["camera"]["binning"] = binning
         return config.validate(data, World, "world")
@@ -264,15 +261,12 @@ class World(WorldEffects, WorldContents):
         return world
 
     def camera_model(self) -> Pinhole:
-        """Make the true camera model."""
         return self.calibration.camera.model() if self.calibration else self.camera.model()
 
     def projector_model(self) -> Pinhole:
-        """Make the true projector model."""
         return self.calibration.projector.model() if self.calibration else self.projector.model()
 
     def T_projector_camera(self, stage_mm: float = 0.0, convergence_deg: float = 0.0) -> RigidTransform:
-        """Compute the true pose of the camera in the projector's frame."""
         if self.calibration:
             pose = self.calibration.T_projector_camera.transform().inverse()
         else:
@@ -281,13 +275,11 @@ class World(WorldEffects, WorldContents):
         return turned_towards(moved, np.radians(convergence_deg)) if convergence_deg else moved
 
     def item(self, name: str) -> Item:
-        """Look up an item."""
         if name not in self.items:
             raise ConfigError(f"world: there is no item '{name}'; there are {', '.join(self.items)}")
         return self.items[name]
 
     def material_of(self, name: str) -> Material:
-        """Look up what an item is made of."""
         item = self.item(name)
         if isinstance(item, BoardItem):
             return Diffuse(reflectance=1.0)  # the print has its own reflectance

@@ -50,7 +50,6 @@ def compress(image: ImageBytes) -> CompressedImage:
 
 
 def repeats_every_four_lines(image: ImageBytes) -> bool:
-    """Tell whether every row equals the one four rows above it."""
     # image (height, width, 3)
     return len(image) > STORED_ROWS and np.array_equal(image[STORED_ROWS:], image[:-STORED_ROWS])
 

@@ -62,7 +62,6 @@ class FlashBlock:
 
     @property
     def end(self) -> int:
-        """Offset of the first byte behind it."""
         return self.offset + self.size
 
 

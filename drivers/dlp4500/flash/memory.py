@@ -12,7 +12,6 @@ ADDRESS = 0xF9000000
 
 
 def flash_checksum(data: bytes) -> int:
-    """Compute the boot loader's checksum."""
     return int(np.frombuffer(data, np.uint8).sum(dtype=np.uint64)) & 0xFFFFFFFF
 
 
@@ -21,5 +20,4 @@ def sector_of(offset: int) -> int:
 
 
 def next_sector_start(offset: int) -> int:
-    """Round an offset up to a sector boundary."""
     return -(-offset // SECTOR) * SECTOR

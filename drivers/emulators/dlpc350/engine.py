@@ -104,7 +104,6 @@ class LightEngine:
         self.restart()
 
     def restart(self) -> None:
-        """Reset to the power-on state."""
         self.sequencer = Sequencer(self._report_pulse, self._latch_frame)
         self._frame: VideoFrame | None = None
         self._was_locked = False
@@ -133,7 +132,6 @@ class LightEngine:
         return self._mode
 
     def light(self) -> ProjectedLight | None:
-        """Return the light that leaves the lens at this moment."""
         # In video mode the content of the port is not followed: it counts as white.
         self.advance()
         return self.light_at(self.clock.now())

@@ -41,7 +41,6 @@ class Dlpc350(LightEngine):
     """The emulated controller; parameters and attributes are those of `LightEngine`."""
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
-        """Carry out a message."""
         self.advance()
         if message.flags & DESTINATION and not self.policy.answers_other_destinations:
             return None
@@ -60,12 +59,10 @@ class Dlpc350(LightEngine):
         return self.reply(message, flags, data)
 
     def nack(self, message: UsbMessage) -> UsbMessage | None:
-        """Refuse a message without carrying it out."""
         replies = message.flags & REPLY_WANTED
         return self.reply(message, message.flags | ERROR, b"") if replies else None
 
     def reply(self, message: UsbMessage, flags: int, data: bytes) -> UsbMessage:
-        """Compose the reply to a message."""
         if not flags & READ and self.policy.acknowledges_with_command:
             data = message.payload[:2]
         return UsbMessage(flags, message.sequence if self.policy.echoes_sequence else 0, data)

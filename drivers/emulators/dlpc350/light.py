@@ -32,7 +32,6 @@ class ProjectedLight:
         return grey_levels(self.content, self.depth, self.number, self.inverted)
 
     def brightness(self) -> Floats:
-        """Return the relative brightness."""
         # returns (height, width)
         return self.grey * (sum(self.levels.values()) / (3 * 255.0))
 

@@ -58,7 +58,6 @@ POWER_ON: dict[Command, Values] = {
 
 
 def power_on() -> dict[int, Values]:
-    """Return the registers as they are after power-on."""
     registers = {}
     for command in COMMANDS.values():
         if isinstance(command.written, RegisterLayout) and command.written == command.returned:

@@ -51,7 +51,6 @@ class DisplayedPattern:
 
 
 def delay_s(code: int) -> float:
-    """Convert a trigger delay from its code on the wire."""
     return (code - ZERO_DELAY_CODE) * DELAY_STEP_US * 1e-6
 
 
@@ -104,7 +103,6 @@ class Sequencer:
         self.state, self.running, self._next_s = Run.STOP, False, None
 
     def advance(self, now: float) -> None:
-        """Do what was due until now."""
         while self.running and self._next_s is not None and self._next_s <= now:
             self._show_next_pattern(self._next_s)
 

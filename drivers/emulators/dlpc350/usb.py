@@ -53,7 +53,6 @@ class EmulatedHid:
 
     @property
     def is_plugged(self) -> bool:
-        """Whether the device is on the bus."""
         return self._plugged_from_s is not None and self.controller.clock.now() >= self._plugged_from_s
 
     def unplug(self) -> None:
@@ -62,7 +61,6 @@ class EmulatedHid:
         self.plugs += 1
 
     def plug(self) -> None:
-        """Plug the USB cable in again."""
         self._plugged_from_s = self.controller.clock.now()
 
     def leave_bus(self, seconds: float) -> None:

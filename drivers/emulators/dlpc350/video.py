@@ -33,7 +33,6 @@ class Video:
         return self._next_from_s
 
     def frame_at(self, time_s: float) -> VideoFrame:
-        """Return the frame on the port at a time."""
         # returns (height, width, 3)
         return self._next if time_s + ROUNDING_S >= self._next_from_s else self._frame
 

@@ -56,21 +56,17 @@ class Brake:
 
     @property
     def distance_mm(self) -> float:
-        """Distance in mm until rest."""
         return self.from_mm_s**2 / (2 * self.acceleration_mm_s2)
 
     @property
     def duration_s(self) -> float:
-        """Time in s until rest."""
         return self.from_mm_s / self.acceleration_mm_s2
 
     def travelled_mm(self, t_s: float) -> float:
-        """Return the distance after a time."""
         t_s = min(t_s, self.duration_s)
         return self.from_mm_s * t_s - self.acceleration_mm_s2 * t_s**2 / 2
 
     def speed_mm_s(self, t_s: float) -> float:
-        """Return the speed after a time."""
         return max(0.0, self.from_mm_s - self.acceleration_mm_s2 * t_s)
 
 

@@ -35,7 +35,6 @@ def tag_new_data(owner: str) -> Iterator[None]:
 
 
 def rig_scene() -> Any:
-    """Give the extension's scene."""
     return next((scene for scene in bpy.data.scenes if scene.get(TAG) == SCENE), None)
 
 

@@ -51,7 +51,6 @@ class Job:
         return self._process.poll() is not None
 
     def wait(self) -> None:
-        """Wait until the command has ended."""
         self._process.wait()
 
     def last_line(self) -> str:

@@ -32,7 +32,6 @@ class RigComparison:
 
     @property
     def measured(self) -> MeasuredFigures:
-        """The bench's own figures."""
         return self.crossed["bench", "bench"]
 
     @property
@@ -45,7 +44,6 @@ class RigComparison:
         ]
 
     def summary(self) -> dict[str, Any]:
-        """Give plain values, as the command line prints them."""
         outside = self.outside
         return {
             "item": self.prediction.item,

@@ -96,7 +96,6 @@ class ContrastSample:
         return np.array([np.median(off[cells == cell]) for cell in np.unique(cells)])
 
     def level(self, reference: Reference) -> Floats:
-        """Give the amplitudes of the bench in the unit of the residuals."""
         # returns (S P,)
         return np.nan_to_num(self._factors_of_equal_noise(reference) * self.amplitude).ravel()
 

@@ -54,11 +54,9 @@ class GammaMatch:
 
     @property
     def parameters(self) -> TwinParameters:
-        """The twin's parameters with the matched response."""
         return self.epochs[-1].parameters
 
     def summary(self) -> dict[str, float]:
-        """Give the figures that reports and the command line print."""
         parameters = self.parameters
         return {
             "W": parameters.white,

@@ -83,7 +83,6 @@ class ArtefactComparison:
         return self.twin_um - self.reference_um
 
     def summary(self) -> dict[str, Any]:
-        """Give the figures that reports and the command line print."""
         return {
             "item": self.item,
             "bench_um": self.reference_um,

@@ -25,7 +25,6 @@ class Diffuse(Material):
     """Random facets; None for none."""
 
     def paint(self) -> Paint:
-        """Translate into a matt base layer without a coat."""
         return Paint(
             self.reflectance, matt(self.roughness), relief=relief_of(self.ridges), grain=grain_of(self.grain)
         )

@@ -31,7 +31,6 @@ class Glossy(Material):
     """Random facets; None for none."""
 
     def paint(self) -> Paint:
-        """Translate into a matt base layer under a gloss coat."""
         return Paint(
             self.reflectance,
             matt(self.roughness),

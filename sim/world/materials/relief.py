@@ -38,7 +38,6 @@ class GrainSection(Document):
 
 
 def relief_of(ridges: Ridges | None) -> scene.Relief:
-    """Translate ridges into the scene's numbers."""
     if ridges is None:
         return scene.NO_RELIEF
     x, y, z = (np.array(ridges.axis) / np.linalg.norm(ridges.axis)).tolist()
@@ -46,5 +45,4 @@ def relief_of(ridges: Ridges | None) -> scene.Relief:
 
 
 def grain_of(grain: GrainSection | None) -> scene.Grain:
-    """Translate grain into the scene's numbers."""
     return scene.NO_GRAIN if grain is None else scene.Grain(grain.slope, grain.size_mm)

@@ -28,7 +28,6 @@ class Translucent(Material):
     """Random facets; None for none."""
 
     def paint(self) -> Paint:
-        """Translate into a translucent base layer without a coat."""
         return Paint(
             self.reflectance,
             BaseLayer("translucent", (("radius_mm", self.radius_mm),)),
