@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -16,8 +15,6 @@ from fpplab.diagnosis.sample import MEDIAN, FrameSample, SampleLimits
 
 class BlurLimits(LimitsSection):
     """From when on a lens is out of focus, and which."""
-
-    section: ClassVar[str] = "blur"
 
     min_contrast: Positive = 0.5
     """Contrast of the finest fringes, as a share of that of a rig in focus. Chosen: noise is then twice as

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar
 
 import numpy as np
 
@@ -17,8 +16,6 @@ HARMONICS = (2, 3, 4)  # of the response that residuals of single frames are fre
 
 class BrightnessLimits(LimitsSection):
     """From how many stripes on the brightness of a frame does not depend on their phase."""
-
-    section: ClassVar[str] = "brightness"
 
     min_stripes: Positive = 4.0
     """Stripes of a set that the camera sees whole. Measured on benches of the limits."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -24,8 +23,6 @@ from fpplab.phase.precision import coordinate_spread, uncertain_orders
 
 class CriteriaLimits(LimitsSection):
     """What the figures of a good scan are."""
-
-    section: ClassVar[str] = "criteria"
 
     min_points_share: ShareLimit = 0.5
     """Share of the pixels that see the fringes which become points. Chosen."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from fpplab.calibration.model import Calibration
@@ -14,8 +12,6 @@ from fpplab.diagnosis.limits import LimitsSection
 
 class DirectionLimits(LimitsSection):
     """From when on a coordinate runs backwards."""
-
-    section: ClassVar[str] = "direction"
 
     min_change: Positive = 0.1
     """Typical change along the image, as a share of that on a surface at constant depth. Derived: a slope

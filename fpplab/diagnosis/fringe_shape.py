@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import ClassVar
 
 import numpy as np
 
@@ -18,8 +17,6 @@ from fpplab.phase.quality import phase_uncertainty
 
 class FringeShapeLimits(LimitsSection):
     """From how many pixels an error that repeats with the phase is concluded, and from when on it matters."""
-
-    section: ClassVar[str] = "fringe_shape"
 
     min_pixels: CountLimit = 500
     """Pixels of known coordinate. Chosen: noise of a phase then averages to a twentieth."""

@@ -8,6 +8,7 @@ in `benchmarks.diagnosis`; on others, 100 scans without a fault had no finding.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, TypeVar
 
@@ -23,7 +24,12 @@ CountLimit = Annotated[int, Field(ge=1)]  # a number of things
 class LimitsSection(Document):
     """Limits of one cause or measurement: a section of a file of limits."""
 
-    section: ClassVar[str]
+    section: ClassVar[str]  # by default the name of the class without "Limits"
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "section" not in vars(cls):
+            cls.section = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", cls.__name__.removesuffix("Limits")).lower()
 
 
 L = TypeVar("L", bound=LimitsSection)

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +27,6 @@ MEDIAN = 0.6745  # median absolute value of a normal variable, in its standard d
 
 class SampleLimits(LimitsSection):
     """Which pixels are looked at, and which of them see the fringes."""
-
-    section: ClassVar[str] = "sample"
 
     pixels: CountLimit = 40_000
     """Pixels spread over the image, about. Chosen: a tenth of a second for all figures."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -15,8 +14,6 @@ from fpplab.diagnosis.sample import FrameSample
 
 class VisibilityLimits(LimitsSection):
     """When fringes count as seen; distinguishes darkness, weak light and a small field."""
-
-    section: ClassVar[str] = "visibility"
 
     min_fringe_sigmas: Positive = 15.0
     """Modulation of the strongest fringes, as a multiple of its noise; weaker ones without coherence are

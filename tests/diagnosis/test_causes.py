@@ -23,8 +23,6 @@ from tests.docs.causes import PAGE, page, table
 ODD_FRAMES = '''
 """The image has an odd number of frames."""
 
-from typing import ClassVar
-
 from fpplab.diagnosis.evidence import Needs
 from fpplab.diagnosis.finding import Detector, FaultCause, Finding, Picture, DetectionStage
 from fpplab.diagnosis.limits import CountLimit, LimitsSection
@@ -32,8 +30,6 @@ from fpplab.diagnosis.limits import CountLimit, LimitsSection
 
 class OddFramesLimits(LimitsSection):
     """How many frames there may be."""
-
-    section: ClassVar[str] = "odd_frames"
 
     max_frames: CountLimit = 1
     """Frames of a recording. Chosen: for a test."""

@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.exposure import GreyLevelLimits
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class AmbientLimits(LimitsSection):
     """How much light may not change with the fringes."""
-
-    section: ClassVar[str] = "ambient"
 
     max_ratio: Positive = 1.0
     """Other light relative to the fringes' modulation. Derived: photon noise grows by the root of both, here

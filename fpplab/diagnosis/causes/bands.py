@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +12,14 @@ from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
 from fpplab.diagnosis.brightness import harmonic_waves
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits, phase_unevenness
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 from fpplab.diagnosis.sample import FrameSample
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 class BandsLimits(LimitsSection):
     """How much the brightness of rows may scatter, and from how many rows that is concluded."""
-
-    section: ClassVar[str] = "bands"
 
     max_scatter: Positive = 0.01
     """RMS difference of the rows' brightness between frames. Measured on benches of the limits."""

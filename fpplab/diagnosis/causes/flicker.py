@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -12,19 +11,14 @@ from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
 from fpplab.diagnosis.brightness import BrightnessLimits, harmonic_waves
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits, phase_error_finding, phase_unevenness
 from fpplab.diagnosis.limits import CountLimit, LimitsSection
 from fpplab.diagnosis.sample import FrameSample
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 class FlickerLimits(LimitsSection):
     """How much the brightness of frames may scatter."""
-
-    section: ClassVar[str] = "flicker"
 
     max_scatter: Positive = 0.01
     """Standard deviation of the frames' brightness, as a share. Measured on benches of the limits."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import ClassVar
 
 from fpplab.core.config import Positive
 from fpplab.diagnosis.causes.flicker import FLICKER
@@ -16,8 +15,6 @@ from fpplab.diagnosis.limits import LimitsSection
 
 class FrameLagLimits(LimitsSection):
     """How much of the frame before may be left."""
-
-    section: ClassVar[str] = "frame_lag"
 
     min_phase_error_rad: Positive = 0.01
     """RMS phase error by it in rad that is reported, if it exceeds the noise. Chosen."""

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 from fpplab.diagnosis.causes.response import ResponseLimits, harmonics_share, unexplained_harmonics_rad
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits, harmonics_of_power_law_rad, phase_error_finding
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy.ndimage import uniform_filter
@@ -15,19 +14,14 @@ from fpplab.core.config import Positive
 from fpplab.core.conventions import Axis, Floats, Mask
 from fpplab.diagnosis.direction import DirectionLimits, changes_along_image
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import harmonics_of_power_law_rad, phase_deviations
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 from fpplab.diagnosis.sample import MEDIAN, FrameSample
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 class InterreflectionLimits(LimitsSection):
     """How much light may come by way of other surfaces."""
-
-    section: ClassVar[str] = "interreflection"
 
     max_phase_error_rad: Positive = 0.055
     """RMS phase error of wide fringes in rad that neighbours share and no phase explains. Measured: two

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy.ndimage import label, median_filter
@@ -12,17 +11,12 @@ from fpplab.core.config import Positive
 from fpplab.core.conventions import TWO_PI, Floats, Mask, axis_length
 from fpplab.core.robust import robust_spread
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class LensSmearLimits(LimitsSection):
     """How much a part of the image may be blurred more than the rest."""
-
-    section: ClassVar[str] = "lens_smear"
 
     max_blur_px: Positive = 1.0
     """Blur in camera px, in squares beyond that of other pixels at such a depth. Chosen: a drop that blurs by

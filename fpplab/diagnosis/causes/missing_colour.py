@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +14,15 @@ from fpplab.core.conventions import Floats
 from fpplab.diagnosis.brightness import BrightnessLimits, frame_levels
 from fpplab.diagnosis.causes.flicker import FlickerLimits
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits, LimitsSection, ShareLimit
 from fpplab.diagnosis.sample import FrameSample
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COLOURS = 3  # patterns of 8 bits that one image of 24 bits carries
 
 
 class MissingColourLimits(LimitsSection):
     """How much darker every third frame may be."""
-
-    section: ClassVar[str] = "missing_colour"
 
     min_brightness: ShareLimit = 0.9
     """Brightness of the frames of one colour, as a share of the others'. Measured on benches of the

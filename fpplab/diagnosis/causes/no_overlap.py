@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fpplab.diagnosis.causes.projector_dark import darkness_excess
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.visibility import VisibilityLimits
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def light_elsewhere(excess: float) -> Finding:

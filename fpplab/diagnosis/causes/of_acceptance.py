@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from fpplab.core.config import Positive
 from fpplab.diagnosis.finding import FaultCause
 from fpplab.diagnosis.limits import LimitsSection, ShareLimit
@@ -15,8 +13,6 @@ USELESS_ERROR = 10.0
 
 class AcceptanceTestLimits(LimitsSection):
     """How errors of an acceptance test are distinguished."""
-
-    section: ClassVar[str] = "acceptance_test"
 
     min_shared_variance: ShareLimit = 0.5
     """Share of the variance that neighbouring pixels have in common, from which an error of form is no noise.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats
 from fpplab.diagnosis.causes.flicker import FlickerLimits
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import FaultCause, Finding, Picture
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from fpplab.diagnosis.finding import FaultCause, Figure, Finding, Picture
 
 
 def draw_marker_levels(shown: NDArray[np.integer[Any]], runs: Mapping[str, Floats]) -> Figure:

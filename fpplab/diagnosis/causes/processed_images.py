@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import ClassVar
 
 from fpplab.core.config import Positive
 from fpplab.diagnosis.evidence import Evidence
@@ -16,8 +15,6 @@ from fpplab.diagnosis.limits import LimitsSection
 
 class ProcessedImagesLimits(LimitsSection):
     """How much phase error neighbouring pixels may share."""
-
-    section: ClassVar[str] = "processed_images"
 
     min_phase_error_rad: Positive = 0.01
     """RMS phase error by it in rad that is reported, if it exceeds the noise. Chosen."""

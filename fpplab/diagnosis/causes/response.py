@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import (
     FringeShapeLimits,
     harmonics_of_power_law_rad,
@@ -21,14 +20,9 @@ from fpplab.diagnosis.limits import LimitsSection
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.phase.bent_phases import exponent_of_second_harmonic
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 class ResponseLimits(LimitsSection):
     """How far fringes may depart from sinusoids, and by what."""
-
-    section: ClassVar[str] = "response"
 
     max_harmonics_share: Positive = 0.15
     """Harmonics as a share of the fringes. Chosen: those of an exponent of 1.53."""

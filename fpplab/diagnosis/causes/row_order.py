@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Axis, Floats
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import CountLimit, LimitsSection
 from fpplab.diagnosis.sample import FrameSample
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class RowOrderLimits(LimitsSection):
     """How unequally rows follow one another."""
-
-    section: ClassVar[str] = "row_order"
 
     max_ratio: Positive = 2.0
     """Mean square of the phase's change from odd to even rows, beside that from even to odd ones. Derived: of

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
 from fpplab.diagnosis.points import triangulation_angles_deg
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class SmallAngleLimits(LimitsSection):
     """At which angle rays should meet."""
-
-    section: ClassVar[str] = "small_angle"
 
     min_angle_deg: Positive = 5.0
     """Angle between the rays in degrees. Derived: noise in depth is then four times that at 20 degrees."""

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import DiagnosisLimits, LimitsSection
 from fpplab.diagnosis.points import systematic_epipolar_px
 from fpplab.phase import Decoded
 from fpplab.phase.limits import GUIDED_AXIS
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 class StaleCalibrationLimits(LimitsSection):
     """How far points may be off their epipolar lines."""
-
-    section: ClassVar[str] = "stale_calibration"
 
     max_epipolar_px: Positive = 0.3
     """Systematic distance in projector px. Measured on benches of the limits."""

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import axis_length
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class UndersampledLimits(LimitsSection):
     """How wide stripes should be."""
-
-    section: ClassVar[str] = "undersampled"
 
     min_px_per_stripe: Positive = 4.0
     """Camera px that a stripe covers. Derived: pixels of a quarter period keep nine tenths of the

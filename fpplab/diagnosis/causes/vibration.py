@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
 from fpplab.diagnosis.sample import FrameSample
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class VibrationLimits(LimitsSection):
     """How far the scene may move between fringe sets."""
-
-    section: ClassVar[str] = "vibration"
 
     max_shift_px: Positive = 0.08
     """Displacement in camera px. Measured on benches of the limits: those at rest stay below."""

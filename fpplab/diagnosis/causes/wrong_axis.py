@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class WrongAxisLimits(LimitsSection):
     """How much of the change with depth a plan should see."""
-
-    section: ClassVar[str] = "wrong_axis"
 
     min_sensitivity: Positive = 0.5
     """Change of the plan's coordinates with depth, as a share of the greatest. Derived: noise in depth is

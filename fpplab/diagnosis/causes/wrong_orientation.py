@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

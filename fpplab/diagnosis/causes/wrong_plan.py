@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from fpplab.diagnosis.causes.response import RESPONSE
 from fpplab.diagnosis.causes.wrong_orientation import WRONG_ORIENTATION
 from fpplab.diagnosis.direction import DirectionLimits, changes_along_image
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 from fpplab.diagnosis.plan import PlanCheck, check_plan_fit
 from fpplab.diagnosis.plan.edits import Edit
@@ -25,9 +24,6 @@ from fpplab.diagnosis.plan.orientation import check_orientation
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 EXCESS = 1e3
 """Excess of a plan that is wrong, a multiple of its limit. Chosen: above those of other causes, since every
 other finding follows from it."""
@@ -35,8 +31,6 @@ other finding follows from it."""
 
 class WrongPlanLimits(LimitsSection):
     """When the plan is checked, and how much better another one must fit."""
-
-    section: ClassVar[str] = "wrong_plan"
 
     min_points_share: ShareLimit = 0.8
     """Share of the lit pixels that become points, below which the plan is checked. Chosen."""

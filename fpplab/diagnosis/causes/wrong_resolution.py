@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
 
 import cv2
 import numpy as np
@@ -12,13 +11,10 @@ from numpy.typing import NDArray
 from fpplab.core.config import Positive
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Lattice, Map, Mask, axis_length
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 from fpplab.diagnosis.sample import FrameSample
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 ASPECTS = {Lattice.SQUARE: 1.0, Lattice.DIAMOND: 2.0}
 """Distance of columns as a multiple of that of rows, by lattice."""
@@ -26,8 +22,6 @@ ASPECTS = {Lattice.SQUARE: 1.0, Lattice.DIAMOND: 2.0}
 
 class WrongResolutionLimits(LimitsSection):
     """What an error of the coordinate may be that repeats with the projector's pixels."""
-
-    section: ClassVar[str] = "wrong_resolution"
 
     max_moire_px: Positive = 0.04
     """Amplitude in projector px. Measured: a real rig reaches 0.04 px; pictures that are scaled 0.1 px and

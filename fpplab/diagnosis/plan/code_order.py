@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import combinations
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +27,6 @@ _Order = NDArray[np.int64]  # which frame of an axis is taken for each image
 
 class CodeOrderLimits(LimitsSection):
     """How much likelier another order must be."""
-
-    section: ClassVar[str] = "code_order"
 
     min_log_ratio: Positive = 50.0
     """Logarithm of the ratio of likelihoods of all sampled pixels. Chosen: chance gives a few, and an

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from fpplab.core.config import Positive
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
@@ -11,8 +10,6 @@ from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 
 class PlanCheckLimits(LimitsSection):
     """How much the sets of a plan may disagree, and how well another plan must fit."""
-
-    section: ClassVar[str] = "plan_check"
 
     max_agreeing: Positive = 1.5
     """Median disagreement of the sets, in units of what noise explains, up to which nothing else is tried.
