@@ -21,8 +21,7 @@ from fpplab.calibration.displacements import calibration_jacobian
 from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.characterisation import Observation, judge
 from fpplab.characterisation.correction import correct
-from fpplab.characterisation.displacement import without_motion
-from fpplab.characterisation.working_volume import WorkingVolume
+from fpplab.characterisation.working_volume import WorkingVolume, without_motion
 from fpplab.cli import console
 
 SEEDS, CHANGES = range(9500, 9560), 5

@@ -18,13 +18,12 @@ from benchmarks import Result, above, below
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, characterise
 from fpplab.characterisation.candidate_poses import candidate_poses
-from fpplab.characterisation.displacement import moved_points, without_motion
 from fpplab.characterisation.estimate import first_estimate
 from fpplab.characterisation.guide import Guide
 from fpplab.characterisation.next_pose import Design, best_pose
 from fpplab.characterisation.parameters import DistortionModel, Solution, vectors_of
 from fpplab.characterisation.pose_effects import smooth_functions
-from fpplab.characterisation.working_volume import WorkingVolume
+from fpplab.characterisation.working_volume import WorkingVolume, moved_points, without_motion
 from fpplab.cli import console
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import Pinhole, RigidTransform

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks import Result, above, below
-from fpplab.calibration.displacements import calibration_jacobian
-from fpplab.calibration.error_modes import covariance_root
+from fpplab.calibration.displacements import calibration_jacobian, covariance_root
 from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.characterisation import Characterisation, Observation, characterise
 from fpplab.characterisation.bundle import adjust_bundle

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from benchmarks import Result, above, below
 from benchmarks.guided_characterisation import PROJECTOR_PX, Rigged, rigged, unguided
-from fpplab.calibration.marks import LocatedMarks
+from fpplab.calibration.board import LocatedMarks
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, characterise
-from fpplab.characterisation.displacement import without_motion
 from fpplab.characterisation.marks import compare_marks
 from fpplab.characterisation.parameters import DistortionModel
+from fpplab.characterisation.working_volume import without_motion
 from fpplab.clouds import Cloud
 from fpplab.core import config
 from fpplab.core.conventions import Floats

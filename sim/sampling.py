@@ -18,7 +18,7 @@ from sim.displacement import displaced, displacement_mm
 from sim.fluctuation import Fluctuation
 from sim.items import item_poses, part_mesh
 from sim.light import Light, PatternLevels
-from sim.light.byte_limited_cache import ByteLimitedCache
+from sim.light.cache import ByteLimitedCache
 from sim.part_surface import PartSurface
 from sim.sensor import SensorModel
 from sim.world import World

@@ -37,8 +37,7 @@ from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, ShownPattern
 from sim.parameters import TwinParameters, parameters_of, world_of
 from sim.sensor import SensorModel
-from sim.sheet import board_relative_to, save_sheet
-from sim.surroundings import save_surroundings
+from sim.sheet import board_relative_to, save_sheet, save_surroundings
 from sim.worker import Blender
 from sim.world import BoardItem, World
 

@@ -18,9 +18,8 @@ from pypylon import genicam, pylon
 
 from drivers.basler.families import BASLER_RAW, family_of, raw_gain_of
 from drivers.basler.frames import SPARE_BUFFERS, BufferPool
-from drivers.basler.link import lost_on_link
 from drivers.basler.options import BaslerOptions
-from drivers.basler.transport import Pylon
+from drivers.basler.transport import Pylon, lost_on_link
 from drivers.genicam import names as named
 from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera
 from drivers.genicam.features import Features

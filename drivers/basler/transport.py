@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
-from pypylon import pylon
+from pypylon import genicam, pylon
 
 
 class Pylon:
@@ -20,3 +21,23 @@ class Pylon:
 
     def _layer(self) -> Any:
         return pylon.TlFactory.GetInstance()
+
+
+LOST = {
+    "packets lost": "Statistic_Failed_Packet_Count",
+    "packets sent again": "Statistic_Resend_Packet_Count",
+    "frames damaged": "Statistic_Failed_Buffer_Count",
+    "frames without a buffer": "Statistic_Buffer_Underrun_Count",
+    "frames missed": "Statistic_Missed_Frame_Count",
+}
+"""Nodes by what they count since frames were last awaited; each link has some of them."""
+
+
+def lost_on_link(nodes: Any) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    with suppress(genicam.GenericException):  # an unplugged camera; that is reported by its own error
+        for what, name in LOST.items():
+            node = nodes.GetNode(name)
+            if node.IsValid() and node.IsReadable() and (count := node.GetValue()) > 0:
+                counts[what] = count
+    return counts

@@ -16,14 +16,13 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from drivers.display.curve import light_table, pixel_table
 from drivers.display.window import SdlDisplay
 from fpplab.core import config
 from fpplab.core.config import Document
-from fpplab.core.conventions import Lattice
+from fpplab.core.conventions import Floats, Lattice
 from fpplab.devices import DeviceInfo, FlashingProjector, ProjectorCaps
 from fpplab.patterns.fringes import Pattern, quantise
 
@@ -128,3 +127,28 @@ class DisplayProjector(FlashingProjector):
     def _frame(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         drawn = np.array([channel in self._options.channels for channel in CHANNELS])
         return np.where(drawn, pixels[..., None], np.uint8(0))
+
+
+def srgb_light(values: ArrayLike) -> Floats:
+    v = np.asarray(values, np.float64)
+    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
+
+
+def srgb_values(light: ArrayLike) -> Floats:
+    """Compute the pixel values of light, the inverse of `srgb_light`."""
+    x = np.asarray(light, np.float64)
+    return np.where(x <= 0.04045 / 12.92, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def pixel_table(is_srgb: bool) -> NDArray[np.uint8]:
+    """Tabulate the pixel value to draw for each grey level of a pattern."""
+    # returns (256,)
+    greys = np.arange(256) / 255.0
+    return np.asarray(np.rint(255.0 * (srgb_values(greys) if is_srgb else greys)), np.uint8)
+
+
+def light_table(is_srgb: bool) -> NDArray[np.uint8]:
+    """Tabulate the light of each pixel value, the inverse of `pixel_table`."""
+    # returns (256,)
+    values = np.arange(256) / 255.0
+    return np.asarray(np.rint(255.0 * (srgb_light(values) if is_srgb else values)), np.uint8)

@@ -13,16 +13,16 @@ from contextlib import contextmanager, suppress
 
 from drivers.clock import Polling
 from drivers.dlp4500 import protocol
-from drivers.dlp4500.board import ProjectorBoard
-from drivers.dlp4500.protocol import DisplayMode, Mailbox, Run, Source
-from drivers.dlp4500.sequence import Program
-from drivers.dlp4500.status import (
+from drivers.dlp4500.board import (
     HARDWARE_FAULTS,
     VALIDATION_ERRORS,
     VALIDATION_WARNINGS,
+    ProjectorBoard,
     hardware_faults,
     validation_messages,
 )
+from drivers.dlp4500.protocol import DisplayMode, Mailbox, Run, Source
+from drivers.dlp4500.sequence import Program
 from fpplab.core.errors import DeviceError, ProtocolError
 
 VALIDATION = Polling(step_s=0.01, limit_s=2.0)

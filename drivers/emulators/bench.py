@@ -39,7 +39,7 @@ from drivers.emulators.dlpc350 import (
 )
 from drivers.emulators.exposure import BenchClock, CollectedLight, EmulatedShutter, mean_pattern
 from drivers.emulators.grbl import GrblController, Rail
-from drivers.emulators.grbl.settings import DEFAULTS
+from drivers.emulators.grbl.drive import DEFAULTS
 from drivers.emulators.optics import GreyImage, OpticsRig
 from drivers.emulators.sensor_timing import STRICT, SensorTiming
 from drivers.emulators.terminal import PseudoTerminal

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from drivers.genicam.gain import to_db, to_raw
-from drivers.video_camera.controls import EXPOSURE_100_US, GAIN, RAW
 from drivers.video_camera.device import Control, StampedFrame, VideoDevice
 from drivers.video_camera.options import VideoOptions
 from fpplab.core import config
@@ -31,6 +30,30 @@ from fpplab.core.errors import (
     StateError,
 )
 from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, Trigger
+
+EXPOSURE_MODE, EXPOSURE_100_US, GAIN = 0x009A_0901, 0x009A_0902, 0x0098_0913
+MANUAL = 1  # value of `EXPOSURE_MODE` (V4L2_EXPOSURE_MANUAL)
+
+RAW: dict[int, int | None] = {
+    EXPOSURE_MODE: MANUAL,
+    0x009A_0903: 0,  # frame rate that depends on the exposure
+    0x0098_0912: 0,  # automatic gain
+    0x0098_0920: 0,  # automatic brightness
+    0x0098_0900: None,  # brightness
+    0x0098_0901: None,  # contrast
+    0x0098_0910: 100,  # gamma, in hundredths
+    0x0098_0914: 0,  # mirrored
+    0x0098_0915: 0,  # upside down
+    0x0098_091B: 0,  # sharpness
+    0x0098_091C: 0,  # backlight compensation
+    0x009A_0915: 0,  # wide dynamic range
+    0x009F_0903: 0,  # test pattern
+}
+"""Values by control; None is the control's default, where no value is laid down as neutral.
+
+A camera may lack any of them; those that it has must have these values.
+"""
+
 
 UNIT_S = 1e-4  # unit of V4L2_CID_EXPOSURE_ABSOLUTE in s (the kernel's documentation)
 FORMATS = {"GREY": 8, "Y10 ": 10, "Y12 ": 12, "Y14 ": 14, "Y16 ": 16}

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, AwareDatetime, Field, model_validator
 
-from fpplab.calibration.board import FittedBoard, FittedBoardFile
+from fpplab.calibration.board import FittedBoard, FittedBoardFile, LocatedMarks, LocatedMarksFile
 from fpplab.calibration.drawing import calibration_table, draw_from_above
-from fpplab.calibration.marks import LocatedMarks, LocatedMarksFile
 from fpplab.calibration.plausibility import explain_impossible
 from fpplab.core import config
 from fpplab.core.config import Document

@@ -20,13 +20,13 @@ from scipy.stats import chi2
 
 from fpplab.calibration.board import FittedBoard, FittedErrors
 from fpplab.calibration.changes import kinds_by_part
-from fpplab.calibration.error_modes import independent_modes
+from fpplab.calibration.displacements import independent_modes
 from fpplab.calibration.model import INTRINSICS, POSE, Calibration, CalibrationOrigin
 from fpplab.characterisation.correction import with_parameters
-from fpplab.characterisation.displacement import moved_points
 from fpplab.characterisation.judging import CalibrationAsFitted
 from fpplab.characterisation.limits import USUAL_LIMITS
 from fpplab.characterisation.parameters import parameter_names
+from fpplab.characterisation.working_volume import moved_points
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError, ConfigError
 

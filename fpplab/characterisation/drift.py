@@ -15,12 +15,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from fpplab.characterisation.bundle import adjust_bundle, inverse_of
-from fpplab.characterisation.displacement import moved_points
 from fpplab.characterisation.lens import scale_scatter, scales_of_poses
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ErrorSizes, Model, Solution
 from fpplab.characterisation.pose_effects import pose_effects
 from fpplab.characterisation.problem import Problem
+from fpplab.characterisation.working_volume import moved_points
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import UndeterminedError
 from fpplab.core.geometry import RigidTransform

@@ -11,9 +11,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation.assembly import calibration_of
 from fpplab.characterisation.bundle import adjust_bundle, estimate_uncertainty, fit_pose
-from fpplab.characterisation.fitting import DEFAULT_LEVEL, model_of, settled
+from fpplab.characterisation.fitting import DEFAULT_LEVEL, calibration_of, model_of, settled
 from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, ImageSize, Model, Solution

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.stats import norm, t
 from threadpoolctl import threadpool_limits
 
-from fpplab.calibration.model import Uncertainty
+from fpplab.calibration.board import FittedBoard, FittedErrors
+from fpplab.calibration.model import Calibration, Uncertainty
 from fpplab.characterisation import coverage, outliers
-from fpplab.characterisation.assembly import calibration_of
 from fpplab.characterisation.board_diagnosis import find_description_error
 from fpplab.characterisation.bundle import (
     adjust_bundle,
@@ -47,11 +47,14 @@ from fpplab.characterisation.zhang import (
     calibrate_separately,
     check_not_mirrored,
     fit_pose_between_devices,
+    matrix_of,
     rms,
     transform,
 )
+from fpplab.core import config
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import CalibrationError, UndeterminedError
+from fpplab.core.geometry import Pinhole
 from fpplab.targets import Target
 
 MIN_POSES = 3
@@ -364,3 +367,33 @@ def _require_determined_focal_lengths(
                 )
     if apart_deg < limits.parallel_deg:  # the doubt is small only if the distortion is as assumed
         raise CalibrationError(f"{parallel}the focal lengths; {advice}")
+
+
+def calibration_of(
+    target: Target,
+    lattice: Lattice,
+    solution: Solution,
+    sizes: ErrorSizes,
+    model: Model,
+    rms_px: dict[str, float],
+    uncertainty: Uncertainty,
+) -> Calibration:
+    assert model.image_sizes is not None
+    errors = FittedErrors(
+        camera_px=sizes.camera_px,
+        projector_px=sizes.projector_px,
+        camera_shared_px=sizes.camera_shared_px,
+        projector_shared_px=sizes.projector_shared_px,
+        poses=len(solution.poses),
+        carried=solution.carried,
+        scale=model.scale_tolerance,
+    )
+    camera_size, projector_size = model.image_sizes
+    return Calibration(
+        Pinhole(camera_size, matrix_of(solution.camera), solution.camera[4:]),
+        Pinhole(projector_size, matrix_of(solution.projector), solution.projector[4:], lattice),
+        transform(solution.T_projector_camera),
+        rms_px,
+        uncertainty,
+        FittedBoard(config.plain(target), solution.board, errors),
+    )

@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from fpplab.calibration.board import FittedBoard, FittedErrors
-from fpplab.calibration.error_modes import covariance_root
+from fpplab.calibration.displacements import covariance_root
 from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.outliers import reject_points, rejectable_points

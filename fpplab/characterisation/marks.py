@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fpplab.calibration.board import FittedErrors
-from fpplab.calibration.error_modes import covariance_root
-from fpplab.calibration.marks import LocatedMarks
+from fpplab.calibration.board import FittedErrors, LocatedMarks
+from fpplab.calibration.displacements import covariance_root
 from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.characterisation.correction import estimate_change, with_parameters
 from fpplab.characterisation.judging import CalibrationAsFitted, Judgement, judge_as_fitted

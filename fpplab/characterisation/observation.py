@@ -147,3 +147,16 @@ def _board_area(shape: tuple[int, ...], target: Target, detection: Detection) ->
     outline = cv2.perspectiveTransform(corners, homography(target, detection))
     cv2.fillConvexPoly(area, np.asarray(np.rint(outline[0]), np.int32), (1,))
     return np.asarray(area, np.bool_)
+
+
+WINDOW_PX = (21, 21)
+"""Around each point, within which its motion is sought. Chosen: it holds a corner and its neighbourhood."""
+
+
+def board_shift_px(first: NDArray[np.uint8], last: NDArray[np.uint8], points_px: Floats) -> float | None:
+    """Measure how far a board's points moved between two evenly lit images; None where it cannot be seen."""
+    # The median over all points: fringes that remain in an image move single points by hundredths of a px.
+    start = points_px.astype(np.float32).reshape(-1, 1, 2)
+    end, state, _ = cv2.calcOpticalFlowPyrLK(first, last, start, start.copy(), winSize=WINDOW_PX)
+    shifts = (end - start)[state.ravel() > 0].reshape(-1, 2)
+    return float(np.hypot(*np.median(shifts, axis=0))) if len(shifts) else None

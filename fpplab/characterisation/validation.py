@@ -26,14 +26,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from fpplab.calibration.error_modes import independent_modes
+from fpplab.calibration.displacements import independent_modes
 from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.characterisation.bundle import adjust_bundle, estimate_uncertainty
-from fpplab.characterisation.displacement import moved_points, without_motion
 from fpplab.characterisation.limits import USUAL_LIMITS
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, project_with_derivatives
 from fpplab.characterisation.problem import without_poses
+from fpplab.characterisation.working_volume import moved_points, without_motion
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform

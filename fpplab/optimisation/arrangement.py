@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from fpplab.calibration.error_modes import error_modes
+from fpplab.calibration.displacements import error_modes
 from fpplab.calibration.model import INTRINSICS, PARAMETERS, POSE, Calibration
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError, ConfigError

@@ -22,7 +22,7 @@ from fpplab.characterisation import (
     observe,
 )
 from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
-from fpplab.characterisation.still_board import board_shift_px
+from fpplab.characterisation.observation import board_shift_px
 from fpplab.core import config
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress

@@ -6,12 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fpplab.calibration.displacements import CoordinateNoise, calibration_jacobian, displacements_by_mode
-from fpplab.calibration.error_modes import covariance_root
-from fpplab.calibration.marks import LocatedMarks
+from fpplab.calibration.board import LocatedMarks
+from fpplab.calibration.displacements import (
+    CoordinateNoise,
+    calibration_jacobian,
+    covariance_root,
+    displacements_by_mode,
+)
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Correction
-from fpplab.characterisation.displacement import without_motion
 from fpplab.characterisation.marks import (
     MarksComparison,
     compare_marks,
@@ -20,6 +23,7 @@ from fpplab.characterisation.marks import (
     triangulate_marks,
 )
 from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.working_volume import without_motion
 from fpplab.clouds import Cloud
 from fpplab.core import config
 from fpplab.core.depth import DepthRange

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fpplab.characterisation import Characterisation, Judgement
-from fpplab.characterisation.deviations import board_deviation, epipolar_distances
 from fpplab.characterisation.lens import scales_of_poses
 from fpplab.characterisation.limits import USUAL_LIMITS
+from fpplab.characterisation.result import board_deviation, epipolar_distances
 from fpplab.characterisation.validation import projected_uncertainty
 from fpplab.core.conventions import Floats
 from fpplab.core.drawing import (

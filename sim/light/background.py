@@ -15,8 +15,7 @@ from fpplab.core.conventions import PixelIndices
 from fpplab.patterns.fringes import Pattern
 from sim.build import NOTHING, SceneState, build_background
 from sim.light.basis import PatternLevels
-from sim.light.byte_limited_cache import ByteLimitedCache
-from sim.light.cache import table_digest
+from sim.light.cache import ByteLimitedCache, table_digest
 from sim.light.lamps import RoomLightAt
 from sim.light.lens import lens_views
 from sim.light.mirrors import Mirrors

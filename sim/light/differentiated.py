@@ -10,12 +10,11 @@ import numpy as np
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.patterns.fringes import Pattern
 from sim.light.basis import PatternLevels
-from sim.light.byte_limited_cache import ByteLimitedCache
-from sim.light.cache import table_digest
+from sim.light.cache import ByteLimitedCache, table_digest
 from sim.light.lamps import RoomLightAt
 from sim.light.mirrors import Mirrors
 from sim.light.plane import computed_motion
-from sim.light.slopes import MotionTable
+from sim.light.table import MotionTable
 from sim.scene import RenderScene, SubpixelView
 from sim.texture import MirrorTexture
 

@@ -21,8 +21,7 @@ from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole
 from sim.effects import EFFECTS
-from sim.light.byte_limited_cache import ByteLimitedCache
-from sim.light.cache import table_digest
+from sim.light.cache import ByteLimitedCache, table_digest
 from sim.light.plane import can_compute
 from sim.light.solid import shape_of
 from sim.light.table import Irradiance

@@ -28,19 +28,16 @@ from sim.build import NOTHING, SceneState, build_scene
 from sim.items import standing_surfaces
 from sim.light.background import Background
 from sim.light.basis import Basis, PatternLevels
-from sim.light.byte_limited_cache import ByteLimitedCache
-from sim.light.cache import TableCache, table_digest
+from sim.light.cache import ByteLimitedCache, TableCache, table_digest
 from sim.light.differentiated import DifferentiatedLight
 from sim.light.lamps import RoomLight, point_lamps
-from sim.light.lens import lens_views
+from sim.light.lens import lens_views, vignetting
 from sim.light.mirrors import Mirrors, MirrorStates
 from sim.light.plane import can_compute, computed, computed_motion
-from sim.light.slopes import MotionTable
 from sim.light.solid import can_trace, traced
-from sim.light.table import LightTable
-from sim.light.vignetting import vignetting
+from sim.light.table import LightTable, MotionTable
 from sim.scene import COLOURS, PatternRender, RenderScene, RenderSettings, SubpixelView
-from sim.surroundings import surroundings_surfaces
+from sim.sheet import surroundings_surfaces
 from sim.texture import MirrorTexture
 from sim.worker import Blender
 from sim.world import World

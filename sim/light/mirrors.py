@@ -11,7 +11,7 @@ from fpplab.core.conventions import full_scale
 from fpplab.patterns.fringes import Pattern
 from sim.effects import EFFECTS
 from sim.light.basis import Basis, PatternLevels, smallest_basis
-from sim.light.byte_limited_cache import ByteLimitedCache
+from sim.light.cache import ByteLimitedCache
 from sim.texture import MirrorTexture, Part, PatternTextures
 from sim.world import ProjectorWorld
 

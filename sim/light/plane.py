@@ -26,8 +26,7 @@ from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
 from sim.light.blurred_pictures import BlurredPictureCache, BlurredPictures, unblurred_picture
 from sim.light.rays import distorted, lens_turn, on_lens, slopes_at
-from sim.light.slopes import MotionTable
-from sim.light.table import Irradiance, LightTable, circle_level
+from sim.light.table import Irradiance, LightTable, MotionTable, circle_level
 from sim.scene import Paint, RenderScene, SubpixelView
 
 _cache = BlurredPictureCache()

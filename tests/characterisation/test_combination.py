@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fpplab.calibration.changes import parameter_vector
-from fpplab.calibration.error_modes import chi_square, error_modes
+from fpplab.calibration.displacements import chi_square, error_modes
 from fpplab.calibration.model import PARAMETERS, Calibration, CalibrationOrigin
 from fpplab.characterisation import DistortionModel, characterise
 from fpplab.characterisation.combination import Combination, combine

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fpplab.calibration.changes import changed_rigs, parameter_vector
-from fpplab.calibration.error_modes import chi_square
+from fpplab.calibration.displacements import chi_square
 from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.characterisation import Characterisation, DistortionModel, Observation, characterise, judge
 from fpplab.characterisation.correction import correct

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fpplab.calibration.board import LocatedMarks
 from fpplab.calibration.changes import changed_rigs, parameter_vector
 from fpplab.calibration.displacements import calibration_jacobian, displacements_by_mode
-from fpplab.calibration.marks import LocatedMarks
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import DistortionModel, Observation, characterise
 from fpplab.characterisation.marks import compare_marks, triangulate_marks

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fpplab.characterisation.still_board import board_shift_px
+from fpplab.characterisation.observation import board_shift_px
 
 
 def squares(shift_px: tuple[float, float], noise: float, seed: int) -> NDArray[np.uint8]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.video_camera.controls import EXPOSURE_100_US, EXPOSURE_MODE, GAIN
+from drivers.video_camera.camera import EXPOSURE_100_US, EXPOSURE_MODE, GAIN
 from drivers.video_camera.device import BUFFERS, Control, StampedFrame
 from fpplab.core.conventions import Image
 from fpplab.devices import CameraSettings

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.display import DisplayProjector
-from drivers.display.curve import light_table, pixel_table, srgb_light, srgb_values
+from drivers.display.device import light_table, pixel_table, srgb_light, srgb_values
 from drivers.display.screen import DisplayInfo
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import CapabilityError, ConfigError, DeviceError, SettingError

@@ -9,8 +9,8 @@ from dataclasses import replace
 import pytest
 
 from drivers.emulators.grbl import GrblPolicy, GrblState, Rail
+from drivers.emulators.grbl.drive import DEFAULTS
 from drivers.emulators.grbl.gcode import Modes
-from drivers.emulators.grbl.settings import DEFAULTS
 from drivers.stage_grbl import GrblStage, device, wire
 from drivers.stage_grbl.device import Mechanics
 from drivers.stage_grbl.wire import GrblWire

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.video_camera import VideoCamera
-from drivers.video_camera.controls import EXPOSURE_100_US, EXPOSURE_MODE, GAIN
+from drivers.video_camera.camera import EXPOSURE_100_US, EXPOSURE_MODE, GAIN
 from fpplab.core.errors import (
     CapabilityError,
     DeviceError,

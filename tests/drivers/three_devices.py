@@ -14,8 +14,7 @@ import numpy as np
 
 from drivers.display.window import SdlDisplay, VideoFrame
 from drivers.emulators.grbl import GrblController
-from drivers.emulators.grbl.drive import Rail
-from drivers.emulators.grbl.settings import DEFAULTS
+from drivers.emulators.grbl.drive import DEFAULTS, Rail
 from drivers.emulators.terminal import PseudoTerminal
 from drivers.video_camera.device import StampedFrame
 from fpplab.acquisition.acquire import capture

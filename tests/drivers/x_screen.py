@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.display.curve import srgb_light
+from drivers.display.device import srgb_light
 from drivers.emulators.bench import EmulatedFixture
 from drivers.emulators.optics import OpticsRig
 from drivers.video_camera.device import StampedFrame

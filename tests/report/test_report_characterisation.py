@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation, DistortionModel, characterise
-from fpplab.characterisation.deviations import align_similarity, board_deviation, epipolar_distances
+from fpplab.characterisation.result import align_similarity, board_deviation, epipolar_distances
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform

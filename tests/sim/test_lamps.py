@@ -26,7 +26,7 @@ from sim.light.lamps import lamp_light, point_lamps
 from sim.parameters import UNCERTAIN, TwinParameters
 from sim.preview_file import Preview, write_preview
 from sim.sensor import SensorModel
-from sim.surroundings import surroundings_surfaces
+from sim.sheet import surroundings_surfaces
 from sim.twin import Twin
 from sim.worker import Blender
 from sim.world import World

@@ -23,7 +23,7 @@ from sim.build import NOTHING, SceneState
 from sim.items import item_surface
 from sim.light import Light, PatternLevels, ShownPattern
 from sim.light.background import Background
-from sim.surroundings import surroundings_surfaces
+from sim.sheet import surroundings_surfaces
 from sim.twin import Twin
 from sim.worker import Blender
 from sim.world import World

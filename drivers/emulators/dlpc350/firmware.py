@@ -24,8 +24,7 @@ from drivers.dlp4500.protocol import (
     TriggerMode,
 )
 from drivers.dlp4500.sequence import SIZE
-from drivers.emulators.dlpc350.engine import LightEngine
-from drivers.emulators.dlpc350.registers import ANSWERED_ASLEEP, FIRMWARE, SEQUENCE_COMMANDS, TAG
+from drivers.emulators.dlpc350.engine import ANSWERED_ASLEEP, FIRMWARE, SEQUENCE_COMMANDS, TAG, LightEngine
 from drivers.emulators.dlpc350.sequencer import SequenceTables, delay_s
 from drivers.emulators.dlpc350.validation import validate_sequence
 

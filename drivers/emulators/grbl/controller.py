@@ -9,9 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from drivers.emulators.grbl.drive import Drive, Rail
+from drivers.emulators.grbl.drive import DEFAULTS, Drive, GrblSettings, Rail
 from drivers.emulators.grbl.gcode import AxisPositions, GcodeError, Modes, Move, interpret, read_block
-from drivers.emulators.grbl.settings import DEFAULTS, GrblSettings
 from drivers.stage_grbl.lines import AXES, MM_PER_INCH
 
 VERSION, BUILD = "1.1f", "1.1f.20170801"
