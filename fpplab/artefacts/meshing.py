@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 
 def rectangle_corners(x0: float, x1: float, y0: float, y1: float) -> Floats:
-    """Compute the corners of an axis-parallel rectangle at z = 0."""
     # returns (4, 3) mm
     return np.array([(x0, y0, 0.0), (x1, y0, 0.0), (x1, y1, 0.0), (x0, y1, 0.0)])
 
@@ -35,13 +34,11 @@ def profile_at(profile: Sequence[tuple[float, float]], y: float) -> Floats:
 
 
 def fan_triangles(loop: Floats) -> Floats:
-    """Triangulate a flat loop by a fan about its first corner."""
     # loop (n, 3) mm
     return np.stack([np.broadcast_to(loop[0], loop[1:-1].shape), loop[1:-1], loop[2:]], axis=1)
 
 
 def strip_triangles(low: Floats, high: Floats) -> Floats:
-    """Triangulate the closed wall between two loops."""
     # low (n, 3) mm; returns (2n, 3, 3) mm
     low_next, high_next = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
     return np.concatenate(

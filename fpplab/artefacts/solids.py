@@ -12,13 +12,11 @@ if TYPE_CHECKING:
 
 
 def to_manifold(mesh: trimesh.Trimesh) -> Manifold:
-    """Convert a mesh to the solid that it encloses."""
     corners = np.array(mesh.vertices, np.float64, order="C")
     return Manifold(Mesh64(corners, np.array(mesh.faces, np.uint64, order="C")))
 
 
 def to_trimesh(solid: Manifold) -> trimesh.Trimesh:
-    """Convert a solid to a mesh of its surface."""
     import trimesh  # most of a second that listing names does not need
 
     parts = solid.to_mesh64()

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
 
 
 def names_of(kind: ConfigKind) -> Callable[[str], list[str]]:
-    """Make what completes an option that takes a configuration of one kind."""
 
     def complete(incomplete: str) -> list[str]:
         from fpplab.core.config import shipped_configs  # which `--help` does not need

@@ -37,7 +37,6 @@ def as_table(value: Any) -> tuple[list[str], list[list[Any]]] | None:
 
 
 def _flatten_row(row: dict[str, Any]) -> dict[str, Any]:
-    """A row without dictionaries in it: their keys stand behind the row's own."""
     flat: dict[str, Any] = {}
     for key, value in row.items():
         inner = {f"{key} {k}": v for k, v in value.items()} if isinstance(value, dict) else {key: value}

@@ -122,7 +122,6 @@ def missing_or_misplaced(path: str, option: str, words: Sequence[str], purpose: 
 
 
 def _misplaced_word(words: Sequence[str], option: str) -> str | None:
-    """The word that stands without its option."""
     free = [word for i, word in enumerate(words) if not word.startswith("-") and words[i - 1][:2] != "--"]
     for word in free:
         if option in _options_for(word):

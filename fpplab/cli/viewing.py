@@ -95,7 +95,6 @@ class MeasurementObserver(ConsoleObserver):
         self._viewer.show(self._view.maps, decoded)
 
     def result(self, result: object) -> None:
-        """Show the points, by their errors where these are known."""
         from fpplab.results.comparison import ComparisonResult
         from fpplab.results.scan import ScanResult
 
@@ -111,7 +110,6 @@ class CharacterisationObserver(MeasurementObserver):
     """Shows poses and the fit in the viewer, too."""
 
     def result(self, result: object) -> None:
-        """Show boards, devices and residuals."""
         from fpplab.characterisation import Characterisation
         from fpplab.viewer.characterisation import CharacterisationView
 
@@ -123,7 +121,6 @@ class AcceptanceObserver(MeasurementObserver):
     """Shows the positions of a standard and the fits in the viewer, too."""
 
     def result(self, result: object) -> None:
-        """Show a position's points, or all points by their distance from the fits."""
         from fpplab.comparison.acceptance import Acceptance
         from fpplab.pipeline import Reconstruction
         from fpplab.viewer.acceptance import AcceptanceView
@@ -142,7 +139,6 @@ class ResponseObserver(ConsoleObserver):
         self._viewer = viewer
 
     def result(self, result: object) -> None:
-        """Show a uniform image, or the fit."""
         from fpplab.results.response import GreyLevelFrame, ResponseResult
         from fpplab.viewer.measurement import ShownFrame
         from fpplab.viewer.response import ResponseView
@@ -179,7 +175,6 @@ class SearchObserver(ConsoleObserver):
 def observe_measurement(
     context: typer.Context, requested: bool, keep_open: bool, recording: Path | None
 ) -> Observer:
-    """Make what follows a measurement: the terminal, and the viewer where it is asked for."""
     if not (requested or keep_open):
         return ConsoleObserver()
     from fpplab.viewer.measurement import MeasurementView

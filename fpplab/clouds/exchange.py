@@ -22,7 +22,6 @@ MAX_E57_PIXEL = 2**16 - 1
 
 
 def export_cloud(cloud: Cloud, path: Path | str) -> None:
-    """Write a cloud, or its surface, in the format of the path's suffix, completely or not at all."""
     path = Path(path)
     check_exported(path)
     _WRITERS[path.suffix.lower()](cloud, path)

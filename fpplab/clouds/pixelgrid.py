@@ -37,7 +37,6 @@ class PixelGrid:
     def of(
         cls, points: GridPoints, pixels: PixelColumnsRows, size: tuple[int, int], *sigmas_mm: GridPoints
     ) -> PixelGrid:
-        """Arrange points over the pixels that saw them."""
         # points (N, 3) mm; pixels (N, 2); *sigmas_mm (N,) mm
         shape = size[1], size[0]
         index = buffers.empty(shape, np.int32)

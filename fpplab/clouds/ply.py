@@ -31,7 +31,6 @@ TextRows = list[tuple[int, list[bytes]]]  # the values of lines, with the number
 
 
 def write(columns: Mapping[str, NDArray[Any]], comments: list[str], stream: BinaryIO) -> None:
-    """Write vertices as a little-endian binary PLY file."""
     # columns (N,)
     kinds = {name: values.dtype.str[1:] for name, values in columns.items()}
     vertices = len(next(iter(columns.values())))
@@ -64,7 +63,6 @@ def _fill(
 
 
 def read(path: Path) -> tuple[VertexTable, list[str]]:
-    """Read the vertices of a PLY file, text or binary of any byte order."""
     with open_regular(path) as stream:
         order, elements, comments, lines = _header(stream)
         place = next((i for i, element in enumerate(elements) if element.name == "vertex"), None)

@@ -68,7 +68,6 @@ class Alignment:
     iterations: int  # number of iterations
 
     def summary(self) -> dict[str, object]:
-        """Collect plain values for JSON."""
         return {
             "rotation_deg": np.degrees(self.transform.rotation_vector).tolist(),
             "translation_mm": self.transform.translation.tolist(),
@@ -216,7 +215,6 @@ def _axis_poses(points: Floats, mesh: trimesh.Trimesh, random: np.random.Generat
 
 
 def _axes(points: Floats) -> Floats:
-    """Compute the principal axes (3, 3) in columns."""
     return np.asarray(np.linalg.eigh(np.cov((points - np.median(points, axis=0)).T))[1])
 
 

@@ -371,7 +371,6 @@ def _lengths(
     placed: PlacedArtefact | None,
     calibration: Calibration | None,
 ) -> tuple[MeasuredLength, ...]:
-    """Measure the lengths of an artefact in points (N, 3) of the camera's frame, if both are known."""
     if alignment is None or placed is None:
         return ()
     at, lengths = alignment.transform @ placed.pose, placed.artefact.lengths()
@@ -450,7 +449,6 @@ def visible_samples(
 
 
 def _camera_rays_meet(shape: RayTracedShape, points: Floats) -> Mask:
-    """Find the points (N, 3) whose camera rays meet the true shape."""
     directions = points / np.linalg.norm(points, axis=1)[:, None]
     return np.isfinite(shape.depth(np.zeros(3), directions))
 

@@ -64,7 +64,6 @@ class MeasuredLength:
         )
 
     def texts(self) -> tuple[str, str, str, str]:
-        """Format the values for tables."""
         if self.measured_mm is None or self.error_um is None or self.sigma_um is None:
             return f"{self.true_mm:.4f}", "–", "–", "–"
         return (
@@ -75,7 +74,6 @@ class MeasuredLength:
         )
 
     def summary(self) -> dict[str, object]:
-        """Collect plain values for JSON."""
         return {
             "name": self.name,
             "true_mm": self.true_mm,

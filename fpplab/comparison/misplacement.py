@@ -36,7 +36,6 @@ class Misplacement:
     after_mm: float  # the same after a rigid alignment
 
     def describe(self) -> str:
-        """Say it in one sentence, with what to do."""
         return (
             f"the mesh does not stand where the cloud lies: the points are {self.before_mm:.3g} mm from it, "
             f"but {self.after_mm:.3g} mm after a rigid alignment; compare with --align"

@@ -60,7 +60,6 @@ class FittedScale:
         return abs(self.ppm) > LIMITS.coverage * self.sigma_ppm
 
     def summary(self) -> dict[str, object]:
-        """Collect plain values for JSON."""
         return {"ppm": self.ppm, "sigma_ppm": self.sigma_ppm, "effect_um": self.effect_um}
 
 

@@ -13,7 +13,6 @@ Ints = NDArray[np.int64]
 
 
 def distance_to_surface(queries: Floats, vertices: Floats, faces: NDArray[np.int32]) -> Floats:
-    """Compute the distances of points from a triangulated surface, by the local search of this module."""
     # queries (Q, 3); vertices (V, 3); faces (F, 3); returns (Q,)
     vertices = np.ascontiguousarray(vertices, np.float64)
     touched = np.zeros(len(vertices), np.bool_)

@@ -36,13 +36,11 @@ class RecordedFile:
 
     @property
     def line(self) -> str:
-        """The line of the record, without its newline."""
         kept = {} if self.text is None else {"text": self.text}
         return json.dumps({"file": self.file, "sha256": self.sha256, **kept})
 
     @property
     def is_whole(self) -> bool:
-        """Whether the text that is kept has the checksum."""
         return self.text is not None and _sha256(self.text.encode("utf-8")) == self.sha256
 
 
@@ -59,7 +57,6 @@ def write_recorded(path: Path, text: str, keep: bool = False) -> None:
 
 
 def check_recorded(path: Path, content: bytes) -> None:
-    """Refuse a file that is not what its session wrote."""
     recorded = _recorded(path.parent / CHECKSUMS, path.name)
     if recorded and _sha256(content) not in recorded:
         raise DataError(
@@ -86,5 +83,4 @@ def _sha256(content: bytes) -> str:
 
 
 def _recorded(record: Path, name: str) -> list[str]:
-    """Checksums of everything that was written under a name."""
     return [entry.sha256 for entry in recorded_files(record.parent) if entry.file == name]

@@ -172,7 +172,6 @@ def _fault(detail: Any) -> str:
 
 
 def _correction(field: str, detail: Any) -> str:
-    """What to write instead of a value, where it is known."""
     value, kind = detail["input"], detail["type"]
     if kind.startswith("string") and isinstance(value, int | float) and not isinstance(value, bool):
         return f"; write it in quotes, '{value}'"
@@ -223,18 +222,15 @@ def dump(document: Document) -> str:
 
 
 def plain(document: Document) -> dict[str, Any]:
-    """Convert a document to plain data, such as JSON and YAML hold."""
     data: dict[str, Any] = document.model_dump(mode="json", exclude_none=True)
     return data
 
 
 def to_yaml(data: Any) -> str:
-    """Write plain data as YAML text, keys in their own order."""
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
 
 
 def resolve_relative_to(name: str, folder: Path) -> str:
-    """Resolve a name that a file refers to relative to that file's folder."""
     path = folder / name
     return str(path.resolve()) if name and path.exists() else name
 
@@ -266,7 +262,6 @@ def find_config(name: str | Path, kind: ConfigKind | None = None) -> Path:
 
 
 def _suggestion(path: Path, kind: ConfigKind | None) -> str:
-    """What may have been meant by the path of a configuration that does not exist."""
     shipped = shipped_configs(kind)
     if kind is None:
         shipped = [name for name in shipped if name.split("_")[0] == path.name.split("_")[0]] or shipped

@@ -49,7 +49,6 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 def mirror_centres(size: tuple[int, int], lattice: Lattice) -> tuple[Floats, Floats]:
-    """Compute the coordinates of every mirror's centre."""
     # size (width, height) px; returns u (height, width), v (height, width)
     width, height = size
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
@@ -59,7 +58,6 @@ def mirror_centres(size: tuple[int, int], lattice: Lattice) -> tuple[Floats, Flo
 
 
 def axis_length(size: tuple[int, int], axis: Axis) -> int:
-    """Return the number of projector pixels along an axis."""
     # size (width, height) px
     return size[0] if axis == "x" else size[1]
 
@@ -77,12 +75,10 @@ def phase_steps(steps: int) -> Floats:
 
 
 def full_scale(bits: int) -> int:
-    """Return the greatest integer of a frame or pattern."""
     return (1 << bits) - 1
 
 
 def raw_dtype(bits: int) -> np.dtype[Any]:
-    """Return the type of a frame's integers."""
     return np.dtype(np.uint8 if bits <= 8 else np.uint16)
 
 

@@ -40,7 +40,6 @@ class DirectWriter(io.BufferedIOBase):
         return len(source)
 
     def tell(self) -> int:
-        """Give the number of bytes written so far."""
         return self._before + self._filled
 
     def finish(self) -> None:

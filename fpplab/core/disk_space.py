@@ -36,7 +36,6 @@ def need_space(folder: Path, needed: int, what: str, freed: int = 0) -> None:
 
 
 def disk_bytes(folder: Path) -> int:
-    """Measure the space that a folder's files take on the disk."""
     total = 0
     for path in folder.rglob("*"):
         with suppress(FileNotFoundError):  # another process has deleted it

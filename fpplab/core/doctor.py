@@ -51,7 +51,6 @@ class DoctorFinding:
 
 
 def installed_versions() -> dict[str, str]:
-    """List the versions of fpplab, of Python, and of all packages that fpplab asks for."""
     versions = {"fpplab": __version__, "python": platform.python_version(), "platform": platform.platform()}
     for name in extra_by_package():
         if version := package_version(name):
@@ -60,7 +59,6 @@ def installed_versions() -> dict[str, str]:
 
 
 def check_packages() -> list[DoctorFinding]:
-    """Look for the packages that fpplab always needs, and for those of each extra."""
     lacking = [name for name, extra in extra_by_package().items() if not extra and not package_version(name)]
     remedy = "install fpplab again: pip install --force-reinstall fpplab"
     findings = [
@@ -113,7 +111,6 @@ def check_folders(folders: Iterable[Path]) -> list[DoctorFinding]:
 
 
 def check_graphics(nodes: Path = RENDER_NODES, nvidia: Path = NVIDIA) -> DoctorFinding:
-    """Look for graphics processors that Blender can render with."""
     devices = sorted(nodes.glob("renderD*"))
     closed = [str(device) for device in devices if not os.access(device, os.R_OK | os.W_OK)]
     names = [str(device) for device in devices]

@@ -60,7 +60,6 @@ def as_png(draw: Callable[P, Figure]) -> Callable[P, bytes]:
 
 
 def common_style() -> AbstractContextManager[None]:
-    """Apply the common style to what is drawn and encoded inside the block."""
     return mpl.rc_context(cast(Any, STYLE))
 
 
@@ -76,7 +75,6 @@ def encode_png(figure: Figure) -> bytes:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure; axes are added by `subplots` or `add_gridspec`."""
     return Figure(figsize=(width, height), dpi=144, layout="compressed", facecolor="white")
 
 
@@ -86,7 +84,6 @@ def single_axes(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def side_by_side(height: float, ratios: tuple[float, float]) -> tuple[Figure, tuple[Axes, Axes]]:
-    """Make a figure of full width with two pairs of axes side by side."""
     figure = new_figure(FULL, height)
     cast(Any, figure.get_layout_engine()).set(wspace=0.05)
     left, right = figure.subplots(1, 2, width_ratios=ratios)
@@ -105,7 +102,6 @@ def map_height(shape: tuple[int, ...], width: float) -> float:
 
 
 def sensor_axes(axes: Axes, size: tuple[int, int], device: str) -> None:
-    """Set axes to the whole sensor of a device, its first pixel at the upper left."""
     axes.set(
         xlim=(-0.5, size[0] - 0.5),
         ylim=(size[1] - 0.5, -0.5),
@@ -170,13 +166,11 @@ def colour_bar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str)
 
 
 def display_stride(shape: tuple[int, ...]) -> int:
-    """Compute the sampling stride with which a map is drawn."""
     # shape (h, w)
     return max(1, -(-shape[1] // MAX_COLUMNS))
 
 
 def value_range(values: Map, lower_percentile: float, upper_percentile: float) -> tuple[float, float]:
-    """Compute two percentiles of a map, for the limits of its colours."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         raise DataError("the map has no measured pixel; nothing to draw")

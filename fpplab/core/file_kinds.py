@@ -189,7 +189,6 @@ def _describe_archive(content: bytes) -> str:
 
 
 def _describe_text(head: bytes) -> str | None:
-    """Name a text by the keys or the lines that it has."""
     try:
         text = head.decode("utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", "strict")
     except UnicodeDecodeError as error:

@@ -38,7 +38,6 @@ def _open_regular_file(path: str, flags: int) -> int:
 
 
 def read_bounded(path: Path, max_bytes: int) -> bytes:
-    """Read a small file whole, and refuse to read a large one."""
     with open_regular(path) as stream:
         content = stream.read(max_bytes + 1)
     if len(content) > max_bytes:

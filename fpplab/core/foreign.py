@@ -43,7 +43,6 @@ Parts = dict[str, NDArray[Any]]
 
 
 def read_apart(kind: str, path: Path, opened: BinaryIO | None = None) -> Parts:
-    """Read a file in a process of its own."""
     with opened or open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         seconds = LIMITS.seconds + LIMITS.seconds_per_mb * size / 1e6
@@ -97,7 +96,6 @@ def _limit_memory(max_bytes: int) -> None:
 
 
 def _read(kind: str, stream: BinaryIO) -> Parts | str:
-    """What a file holds, or why it cannot be read."""
     try:
         read_calibration = CALIBRATIONS.get(kind)
         content = stream.read()
@@ -109,7 +107,6 @@ def _read(kind: str, stream: BinaryIO) -> Parts | str:
 
 
 def read_mesh(kind: str, content: bytes) -> Parts:
-    """Read the corners and faces of a mesh with trimesh, in this process."""
     # returns (N, 3)
     import trimesh
 
@@ -177,7 +174,6 @@ def _checked_ply(content: bytes) -> bytes:
 
 
 def read_opencv(content: bytes) -> Parts:
-    """Read the top-level entries of OpenCV's FileStorage, in this process."""
     import cv2
 
     # OpenCV would print what the error says; versions 4 and 5 keep the switch in different places.

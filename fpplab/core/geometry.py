@@ -32,7 +32,6 @@ class RigidTransform:
 
     @classmethod
     def from_vectors(cls, rotation_rad: Floats, translation: Floats) -> RigidTransform:
-        """Make a transform of OpenCV's vectors."""
         # rotation_rad (3,) rad; translation (3,) mm
         matrix, _ = cv2.Rodrigues(np.asarray(rotation_rad, np.float64).reshape(3))
         return cls(np.asarray(matrix, np.float64), np.asarray(translation, np.float64).reshape(3))
@@ -47,7 +46,6 @@ class RigidTransform:
 
     @property
     def matrix(self) -> Floats:
-        """Homogeneous matrix (4, 4)."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation
         return matrix
@@ -123,7 +121,6 @@ class Pinhole:
         distortion: tuple[float, ...] = (),
         lattice: Lattice = Lattice.SQUARE,
     ) -> Pinhole:
-        """Make a device of focal lengths and principal point."""
         # size (width, height) px; focal_px (fx, fy) px; centre_px (cx, cy) px
         matrix = np.array([[focal_px[0], 0, centre_px[0]], [0, focal_px[1], centre_px[1]], [0, 0, 1.0]])
         return cls(size, matrix, np.asarray(distortion, np.float64), lattice)

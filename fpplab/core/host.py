@@ -12,7 +12,6 @@ from fpplab.core.version import __version__
 
 
 def host_facts() -> dict[str, Any]:
-    """Describe program, packages and computer."""
     return {
         "fpplab": __version__,
         "python": platform.python_version(),

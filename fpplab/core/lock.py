@@ -44,7 +44,6 @@ def try_lock(handle: int, shared: bool = False) -> bool:
 
 
 def _try_bytes(handle: int, shared: bool) -> bool:
-    """As `try_lock`, by single bytes."""
     byte_ranges = [(FIRST_BYTE + n, 1) for n in range(SHARES)] if shared else [(FIRST_BYTE, SHARES)]
     return any(_lock_bytes(handle, *bytes_) for bytes_ in byte_ranges)
 

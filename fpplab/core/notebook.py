@@ -18,7 +18,6 @@ CUT = (2.0, 98.0)  # percentiles of the values that are drawn black and white
 
 
 def html_table(title: str, rows: Mapping[str, object], picture: bytes | None = None) -> str:
-    """Write a table of names and values, with a picture next to it."""
     cells = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th>"
         f"<td style='text-align:left'>{escape(str(value))}</td></tr>"
@@ -34,7 +33,6 @@ def html_table(title: str, rows: Mapping[str, object], picture: bytes | None = N
 
 
 def grey_picture(values: NDArray[Any], max_px: int = 240) -> bytes:
-    """Draw a small picture of a map or frame."""
     # values (height, width)
     from PIL import Image as Pixels
 
@@ -58,7 +56,6 @@ def axes_or_new(axes: Axes | None) -> Axes:
 
 
 def plot_map(values: NDArray[Any], label: str, axes: Axes | None = None) -> Axes:
-    """Draw a map over the camera's pixels, with its scale."""
     # values (height, width)
     chosen = axes_or_new(axes)
     finite = values[np.isfinite(values)]

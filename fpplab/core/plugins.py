@@ -26,12 +26,10 @@ DISCOVERY = "fpplab.discovery"
 
 
 def plugin_names(group: str) -> list[str]:
-    """Sorted names of what the installed packages bring for one of the groups of this module."""
     return sorted(entry_points(group=group).names)
 
 
 def load_plugin(group: str, name: str) -> Any:
-    """Import one of `plugin_names(group)`, or say in a `ConfigError` why it cannot be imported."""
     kind = group.rpartition(".")[2].removesuffix("s")
     matching = entry_points(group=group, name=name)
     if not matching:

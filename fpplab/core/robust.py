@@ -26,7 +26,6 @@ def robust_spread(residuals: Floats, min_spread: float = NEGLIGIBLE_RESIDUAL) ->
 
 
 def huber_weights(residuals: Floats, spread: float, limit: float = HUBER) -> Floats:
-    """Compute Huber's weights."""
     return np.minimum(1.0, limit * spread / np.maximum(np.abs(residuals), NEGLIGIBLE_RESIDUAL))
 
 

@@ -23,7 +23,6 @@ USB = {"libusb-1.0.so.0": "libusb-1.0-0"}  # debian packages of the libraries th
 
 
 def cache_directory() -> Path:
-    """Locate this user's folder for results that can be computed again."""
     chosen = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
     return Path(chosen or Path.home() / ".cache") / "fpplab"
 

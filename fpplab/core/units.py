@@ -56,7 +56,6 @@ def corrected_number(text: str, unit: str) -> str | None:
 
 
 def readable_bytes(count: int) -> str:
-    """Write a number of bytes as a person reads it."""
     for unit, size in (("PB", 10**15), ("TB", 10**12), ("GB", 10**9), ("MB", 10**6), ("kB", 10**3)):
         if count >= 0.9995 * size:
             return f"{count / size:#.3g} {unit}".replace(". ", " ")

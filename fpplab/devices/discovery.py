@@ -21,7 +21,6 @@ class FoundDevice(DeviceInfo):
 
     @property
     def title(self) -> str:
-        """What it is called in lists."""
         serial = f", serial number {self.serial}" if self.serial else ""
         return f"{self.model}{serial} ({self.link})"
 

@@ -49,7 +49,6 @@ class RigTurn:
             os.close(handle)
 
     def requested_by(self) -> str:
-        """Say who wants the rig."""
         return lock_owner(_lock_path(self._lock_stem, "wanted"))
 
     def take(self) -> bool:

@@ -51,7 +51,6 @@ class RigArranger:
         self._current = MeasuringSetup("", 0.0)
 
     def __call__(self, setup: MeasuringSetup) -> None:
-        """Move the stage, turn the projector and mount the item. Raises `ConfigError`, `DeviceError`."""
         if setup.stage_mm is not None and setup.stage_mm != self._current.stage_mm:
             self._rig.place_stage(setup.stage_mm)
         if setup.convergence_deg is not None and setup.convergence_deg != self._current.convergence_deg:
@@ -164,7 +163,6 @@ def _device_with_change(device: Pinhole, change: Sequence[float]) -> Pinhole:
 
 
 def interpolate_calibrations(low: Calibration, high: Calibration, share: float) -> Calibration:
-    """Interpolate linearly between two calibrations of the same devices."""
     # Rotations are interpolated about their common axis.
     turn = (high.T_projector_camera.rotation @ low.T_projector_camera.rotation.T).astype(np.float64)
     rotation_vector = RigidTransform(turn, np.zeros(3)).rotation_vector

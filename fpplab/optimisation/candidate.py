@@ -33,7 +33,6 @@ class Candidate:
 
     @property
     def images(self) -> int:
-        """How many images a measurement takes."""
         return sum(fringes.steps for fringes in self.fringes)
 
     def plan(self, template: Plan) -> Plan:

@@ -50,7 +50,6 @@ class CandidateRunner:
 
     @property
     def trials(self) -> list[MeasuredCandidate]:
-        """Every candidate measured so far, in the order asked."""
         return list(self._by_candidate.values())
 
     @cached_property
@@ -68,12 +67,10 @@ class CandidateRunner:
 
     @property
     def best(self) -> MeasuredCandidate:
-        """The best candidate so far by `CandidateRanking.rank`."""
         return min(self.trials, key=self.ranking.rank)
 
     @property
     def front(self) -> list[MeasuredCandidate]:
-        """The Pareto front of all candidates so far, see `CandidateRanking.front`."""
         return self.ranking.front(self.trials)
 
     def is_feasible(self, point: Point) -> bool:
@@ -94,7 +91,6 @@ class CandidateRunner:
         return [trial if trial.refused else next(taken) for trial in asked]
 
     def epoch(self, step: str, trials: Sequence[MeasuredCandidate]) -> SearchEpoch:
-        """Record the end of a round, and tell the observer."""
         epoch = SearchEpoch(
             len(self.epochs), step, tuple(trials), self.best, len(self._by_candidate), tuple(self.front)
         )

@@ -73,7 +73,6 @@ class Confirmation:
         return float(np.sqrt(self.by_repeat**2 + self.by_sample**2 + self.by_calibration**2))
 
     def summary(self) -> dict[str, Any]:
-        """Collect the gain, its uncertainties and the mean figures of both plans."""
         return {
             "gain": self.gain,
             "uncertainty": self.uncertainty,
@@ -111,7 +110,6 @@ def compare_plans(
     repeats: int = LIMITS.repeats,
     progress: Progress = no_progress,
 ) -> Confirmation:
-    """Measure the artefacts of a study on a rig with two plans, alternately."""
     if repeats < 2:
         raise ConfigError(f"--repeats: {repeats}: at least 2, or nothing is known of the uncertainty")
     _check_comparable(before, after)

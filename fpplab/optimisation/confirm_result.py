@@ -30,7 +30,6 @@ class ConfirmedPlan:
 
 
 def check_confirmable(rig: str, problem: SearchProblem, source: str) -> None:
-    """Refuse a rig that cannot hold the artefacts of a study."""
     with Rig.load(rig) as opened:
         RigLimits.of(opened).check_items(problem.artefacts, source)
 
@@ -38,7 +37,6 @@ def check_confirmable(rig: str, problem: SearchProblem, source: str) -> None:
 def confirm_result(
     rig: str, result: SearchResult, folder: Path, progress: Progress = no_progress
 ) -> tuple[ConfirmedPlan, ...]:
-    """Measure the artefacts on a rig with the plan of the start and with the plans that were found."""
     # Of a front the first, the middle and the last plan are measured. The rig is characterised unless it is
     # the one that was searched on.
     chosen = sorted({0, len(result.plans) // 2, len(result.plans) - 1})

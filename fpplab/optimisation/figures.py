@@ -54,12 +54,10 @@ class CandidateFigures:
 
 
 def seed_means(scores: Sequence[Score]) -> Mapping[int, float]:
-    """Average the surface SMCD over the artefacts, for each seed."""
     return _mean_scores_by(scores, "seed")
 
 
 def _mean_scores_by(scores: Sequence[Score], key: str) -> Mapping[Any, float]:
-    """Average the surface SMCD by seed, or by artefact."""
     grouped = defaultdict(list)
     for score in scores:
         grouped[getattr(score, key)].append(score.surface_smcd_um)

@@ -31,7 +31,6 @@ class RigLimits:
 
     @classmethod
     def of(cls, rig: Rig) -> RigLimits:
-        """Read the limits of an open rig from its devices."""
         projector, camera = rig.projector.caps, rig.camera.caps
         if BITS not in projector.bit_depths:
             raise ConfigError(
@@ -53,7 +52,6 @@ class RigLimits:
 
     @property
     def max_images_per_second(self) -> float:
-        """Highest image rate, at the shortest exposure."""
         return 1.0 / (self.exposure_s[0] + self.dead_time_s)
 
     def max_stripes(self, axis: Axis, pixels_per_period: float) -> float:
@@ -89,7 +87,6 @@ class RigLimits:
             yield f"'stage_mm' is {mm:g}: the stage travels from {lower_mm:g} to {upper_mm:g} mm"
 
     def check_items(self, artefacts: Sequence[str], source: str) -> None:
-        """Refuse artefacts that the fixture does not hold."""
         for name in artefacts:
             if self.items is not None and name not in self.items:
                 raise ConfigError(

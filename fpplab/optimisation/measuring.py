@@ -71,14 +71,12 @@ class RigEvaluator:
         return shape.score(decoded, plan, calibration)
 
     def compare(self, name: str, candidate: Candidate, seed: int) -> tuple[Cloud, Comparison]:
-        """Measure one artefact and compare all of its points, for an error map."""
         calibration = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg)
         plan = candidate.plan(self._problem.start)
         _, cloud = points_of(self._take_and_decode(name, candidate, seed, calibration), calibration, plan)
         return cloud, compare(cloud, self._mesh_in_camera_frame(name), calibration, align=True)
 
     def triangulation_angle_deg(self, candidate: Candidate) -> float:
-        """Compute the triangulation angle: that between camera and projector as seen from an artefact."""
         # Seen from the centre of its bounding box.
         projector = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg).projector_centre
         middles = np.array(
@@ -172,7 +170,6 @@ class RigEvaluatorFactory:
     problem: SearchProblem  # what is measured
 
     def __call__(self) -> RigEvaluator:
-        """Make an evaluator, which opens the rig when it measures first."""
         return RigEvaluator(self.rig, self.problem)
 
 

@@ -57,7 +57,6 @@ class Objective(ABC):
         return f"{self.title}, {self.unit}" if self.unit else self.title
 
     def text(self, candidate: MeasuredCandidate) -> str:
-        """Write the value as a report does, with its spread."""
         spread = self.spread(candidate)
         value = f"{self.value(candidate):{self.number_format}}"
         return value if spread is None else f"{value} ± {spread:.2g}"

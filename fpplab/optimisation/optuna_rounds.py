@@ -19,7 +19,6 @@ from fpplab.optimisation.space import Parameter
 
 @contextmanager
 def quiet_optuna() -> Iterator[None]:
-    """Silence optuna's log messages and warnings."""
     before = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     try:

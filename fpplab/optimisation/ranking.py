@@ -38,7 +38,6 @@ class CandidateRanking:
         return tuple((objective, limit) for objective, limit in limits if limit is not None)
 
     def violations(self, candidate: MeasuredCandidate) -> dict[str, float]:
-        """Compute by how much each limit is exceeded."""
         # A share of wrong orders that the start has as well is not counted.
         if not candidate.measured:
             return {"measured": 1e6}  # chosen: more than any measured candidate can exceed limits by
@@ -50,7 +49,6 @@ class CandidateRanking:
         return excess
 
     def violation(self, trial: MeasuredCandidate) -> float:
-        """Add up the excess over all limits."""
         return sum(max(excess, 0.0) for excess in self.violations(trial).values())
 
     def values(self, candidate: MeasuredCandidate) -> tuple[float, ...]:

@@ -56,7 +56,6 @@ class SearchResult:
         return _gain(self.rescored[self.start.candidate], self.rescored[self.optimum.candidate])
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures that the command line prints."""
         return {
             "study": self.study.name,
             "rig": self.rig,

@@ -100,7 +100,6 @@ def run_search(
 
 
 def worker_count(limits: RigLimits, workers: int | None) -> int:
-    """Decide how many processes measure."""
     if workers is None:
         # 4 GiB for each process, chosen: light tables, and the frames of fringe sets.
         fit = psutil.virtual_memory().available // (4 << 30)
@@ -153,7 +152,6 @@ def _other_seeds(study: Study) -> list[int]:
 
 
 def _check_scope(scope: SearchScope, space: SearchSpace, source: str) -> None:
-    """Refuse a study that searches other parameters or objectives than the scope asks for."""
     foreign = [p.name for p in space.parameters if p.group not in scope.groups]
     if foreign:
         raise ConfigError(
@@ -177,7 +175,6 @@ def _check_acceptable(runner: CandidateRunner, optimum: MeasuredCandidate) -> No
 def _save_plans_and_calibration(
     scope: SearchScope, out: Path, result: SearchResult, limits: RigLimits, rig: str
 ) -> tuple[Path, ...]:
-    """Write the plans, and the calibration that holds where the stage puts the projector."""
     paths, study = [], result.study
     with closing(RigEvaluator(rig, study)) as evaluator:
         for number, trial in enumerate(result.planned, 1):

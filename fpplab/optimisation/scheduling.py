@@ -58,7 +58,6 @@ class InProcessWorkers:
         self._evaluator: Evaluator | None = None
 
     def measure(self, tasks: Sequence[Task], on_outcome: OutcomeCallback) -> None:
-        """Measure all tasks, as `Workers.measure`."""
         for place, (candidate, seed) in enumerate(tasks):
             if self._evaluator is None:
                 self._evaluator = self._factory()
@@ -119,7 +118,6 @@ class DaskWorkers:
             ) from error
 
     def measure(self, tasks: Sequence[Task], on_outcome: OutcomeCallback) -> None:
-        """Measure all tasks, as `Workers.measure`."""
         from distributed import as_completed
 
         ended: Any = as_completed
@@ -151,7 +149,6 @@ class DaskWorkers:
 
 
 def make_workers(factory: EvaluatorFactory, count: int, scheduler: cluster.Meeting | None) -> Workers:
-    """Choose who measures: this process for one worker, other processes for more, or those of a scheduler."""
     if count == 1 and scheduler is None:
         return InProcessWorkers(factory)
     return DaskWorkers(factory, count, scheduler)

@@ -152,7 +152,6 @@ class TrueShape:
         outliers: float = 0.0,
         align: bool = True,
     ) -> ArtefactFigures:
-        """Compare a cloud with the true shape."""
         # decoded (height, width)
         assert cloud.pixels is not None
         u, v = cloud.pixels.T
@@ -257,7 +256,6 @@ def _within(coordinate: Floats | Map, lower: Floats | Map, upper: Floats | Map, 
 
 
 def _random_subset(mask: Mask, count: int | None, random: np.random.Generator) -> Mask:
-    """Select about `count` of the elements that are true, or all of them."""
     if count is None:
         return mask
     return np.asarray(mask & (random.random(mask.shape) < count / max(1, np.count_nonzero(mask))))

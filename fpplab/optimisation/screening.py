@@ -212,5 +212,4 @@ class SampledEvaluatorFactory:
     problem: SearchProblem  # what is predicted
 
     def __call__(self) -> Evaluator:
-        """Make an evaluator, which opens the rig when it predicts first."""
         return SampledEvaluator(self.rig, self.problem)

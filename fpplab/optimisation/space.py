@@ -144,7 +144,6 @@ def _template_candidate(problem: SearchProblem, source: str) -> Candidate:
 
 
 def _additional_set(problem: SearchProblem, i: int, source: str) -> Fringes:
-    """Make a set that the start does not have, in the middle of its bounds."""
     steps, stripes = ((*getattr(problem.space, name), None)[i] for name in ("steps", "stripes"))
     if steps is None or stripes is None:
         raise ConfigError(
@@ -233,7 +232,6 @@ def _check_stripes(space: SearchSpace, source: str) -> None:
 
 
 def _check_rig_reach(space: SearchSpace, i: int, bound: float, source: str) -> None:
-    """Refuse a bound that the rig cannot show, along any axis."""
     names = [p.name for p in space.parameters]
     point = list(space.start)
     point[i] = bound

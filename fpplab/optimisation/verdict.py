@@ -69,12 +69,10 @@ def diagnose_search(result: SearchResult, confirmed: Sequence[ConfirmedPlan] = (
 
 
 def _seeks_distance(result: SearchResult) -> bool:
-    """Whether less distance to the surface is the aim, and not fewer images."""
     return result.study.objectives[0] == DISTANCE
 
 
 def _find_missing_gain(result: SearchResult) -> Iterator[Finding]:
-    """Whether other seeds show a gain over the start."""
     gain = result.gain
     if gain is None or gain.uncertainty_um is None:
         return

@@ -30,7 +30,6 @@ def fault_in_step(recording: Recording) -> str | None:
 
 
 def require_in_step(recording: Recording) -> None:
-    """Refuse frames that do not show their patterns."""
     if fault := fault_in_step(recording):
         retake = "" if recording.is_imported else "take it again, with --force, or "
         raise DataError(f"{recording.name}: {fault}; {retake}--as-recorded takes the frames as they are")

@@ -31,7 +31,6 @@ def geometry_check(
     seen_marks: SeenMarks,
     limits: DiagnosisLimits = USUAL_LIMITS,
 ) -> GeometryCheck:
-    """Collect what speaks for and against the calibration's being that of the rig at this scan."""
     doubt, marks, noise = why_unverified(session, calibration), None, coordinate_noise(decoded)
     if seen_marks is not None:
         marks = (

@@ -61,7 +61,6 @@ SeenMarks = MarksComparison | GeometryDoubt | None
 
 
 def compare_marks_in(recording: Recording, decoded: Decoded, calibration: Calibration) -> SeenMarks:
-    """Compare how a scan shows a calibration's reference marks with how they looked before."""
     if (marks := calibration.marks) is None:
         return None
     try:
@@ -103,7 +102,6 @@ def marks_verdict(
 def marks_in(
     recording: Recording, decoded: Decoded, calibration: Calibration, marks: LocatedMarks
 ) -> Observation:
-    """Find a calibration's reference marks in a scan."""
     target = config.validate(marks.target, Target, "the calibration's marks")
     if recording.depth is not None:  # which the marks may lie out of
         depth_mm = triangulate_marks(calibration, marks)[:, 2]
@@ -130,7 +128,6 @@ def locate_session_marks(session: Session, target: Target, calibration: Calibrat
 
 
 def correct_by_marks(session: Session, calibration: Calibration, marks: LocatedMarks) -> Correction:
-    """Correct a calibration by how a scan shows its reference marks."""
     recording = session.recording()
     observed = marks_in(recording, _decode(recording, calibration), calibration, marks)
     compared = compare_marks(calibration, marks, observed)

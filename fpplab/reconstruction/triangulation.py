@@ -189,14 +189,12 @@ def camera_slopes(camera: Pinhole) -> Floats:
 
 
 def camera_rays(camera: Pinhole) -> Floats:
-    """Compute the rays of every pixel's centre, by `camera_slopes`."""
     # returns (height, width, 3)
     slopes = camera_slopes(camera)
     return np.stack([*slopes, np.ones(slopes.shape[1:])], axis=-1)
 
 
 def forget_cameras() -> None:
-    """Clear the cache of `camera_slopes`."""
     with _lock:
         _slopes.clear()
 

@@ -25,7 +25,6 @@ from fpplab.reconstruction.ray_grid import RayGrid, are_positive
 def with_uncertainty(
     cloud: Cloud, calibration: Calibration, noise: CoordinateNoise, progress: Progress = no_progress
 ) -> Cloud:
-    """Add the calibration's contribution to each point's uncertainty."""
     if calibration.uncertainty is None:
         return cloud
     modes = ErrorModes.of(calibration, noise)

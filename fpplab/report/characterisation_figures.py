@@ -56,7 +56,6 @@ BOARD = (
 
 @as_png
 def epipolar_figure(characterisation: Characterisation) -> Figure:
-    """Draw the epipolar distances of all points as a histogram, and by pose."""
     poses = [epipolar_distances(o, characterisation.calibration) for o in characterisation.observations]
     distances = np.concatenate(poses)
     rms = float(np.sqrt(np.mean(distances**2)))
@@ -139,7 +138,6 @@ def _rms(values: Floats) -> float:
 
 @as_png
 def uncertainty_maps(characterisation: Characterisation) -> Figure:
-    """Draw how uncertain the pixel is at which each device sees a place, over its image."""
     calibration, grid = characterisation.calibration, (24, 32)
     figure, both = side_by_side(3.4, (1.0, 1.0))
     to_projector = [calibration.T_projector_camera @ pose for pose in characterisation.poses]
@@ -167,7 +165,6 @@ def uncertainty_maps(characterisation: Characterisation) -> Figure:
 
 @as_png
 def judged_errors(judgement: Judgement) -> Figure:
-    """Draw the errors of poses that were not fitted, with those predicted."""
     figure, both = side_by_side(2.6, (1.0, 1.0))
     places, names = np.arange(len(judgement.poses)), [pose.name for pose in judgement.poses]
     for axes, device in zip(both, ("camera", "projector"), strict=True):

@@ -62,7 +62,6 @@ def check_verdict(check: RigCheck) -> PageVerdict:
 
 
 def evidence_of(result: CheckResult) -> Evidence:
-    """Collect what the findings of a check were drawn from."""
     check = result.check
     runs = {run.how: run.levels for run in check.runs}
     return Evidence(check.recording, check.decoded, check.cloud, result.calibration, check.shown, runs)

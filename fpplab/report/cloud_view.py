@@ -58,7 +58,6 @@ class CloudQuantity:
         return f"{self.name} in {self.unit}"
 
     def quantised(self) -> NDArray[np.uint16]:
-        """Give the values in steps of the range of colours."""
         # returns (N,)
         share = np.clip((self.values - self.low) / (self.high - self.low), 0.0, 1.0)
         return np.where(np.isfinite(share), 1 + np.nan_to_num(share) * (STEPS - 1), 0).astype("<u2")
@@ -188,7 +187,6 @@ def _colours(name: str) -> str:
 
 
 def _spacing(points: NDArray[np.float32]) -> float:
-    """Typical distance in mm between neighbouring points."""
     if len(points) < 2:
         return 1.0
     some = points[:: max(1, len(points) // 2000)]

@@ -40,7 +40,6 @@ def write_comparison_report(path: Path, result: ComparisonResult) -> None:
 
 
 def write_errors(path: Path, result: ComparisonResult) -> None:
-    """Write the errors as a picture, or the compared points coloured by them, as the suffix says."""
     distances_mm, counted = result.comparison.distances_mm, result.comparison.counted
     if path.suffix.lower() == ".ply":
         write_error_cloud(path, result.cloud, distances_mm, counted)
@@ -49,7 +48,6 @@ def write_errors(path: Path, result: ComparisonResult) -> None:
 
 
 def write_error_cloud(path: Path, cloud: Cloud, distances_mm: Map, counted: Mask) -> None:
-    """Write the compared points with their errors in µm, coloured as in the picture of the errors."""
     # distances_mm (N,); counted (N,)
     kept = counted & np.isfinite(distances_mm)
     if not kept.any():
@@ -67,7 +65,6 @@ def write_error_cloud(path: Path, cloud: Cloud, distances_mm: Map, counted: Mask
 
 
 def comparison_verdict(result: ComparisonResult) -> PageVerdict:
-    """Say how far the cloud is, and what contradicts that."""
     headline, comparison = result.headline, result.comparison
     if result.misplaced:
         finding = ("the mesh stands elsewhere", result.misplaced, "Compare again with --align.")

@@ -79,7 +79,6 @@ def _with_sigma(characterisation: Characterisation, value: float, name: str) -> 
 
 
 def characterisation_section(characterisation: Characterisation) -> ReportSection:
-    """Show a characterisation: residuals, coverage, the board, and the uncertainty put to the test."""
     calibration, observations = characterisation.calibration, characterisation.observations
     rms = characterisation.pose_rms_px
     bars = figures.pose_rms(
@@ -117,7 +116,6 @@ def characterisation_section(characterisation: Characterisation) -> ReportSectio
 
 
 def _device_figures(characterisation: Characterisation) -> Iterator[ReportFigure]:
-    """Show the residuals of camera and projector, and where the board was in their images."""
     observations, calibration = characterisation.observations, characterisation.calibration
     cameras, projectors = [o.camera_px for o in observations], [o.projector_px for o in observations]
     devices = (
@@ -141,7 +139,6 @@ def _device_figures(characterisation: Characterisation) -> Iterator[ReportFigure
 
 
 def _validation(characterisation: Characterisation) -> tuple[ReportTable, ...]:
-    """Compare calibrations from fewer poses with what is predicted."""
     if characterisation.validation is None:
         return ()
     both = ((JACKKNIFE, characterisation.validation.jackknife), (HALVES, characterisation.validation.halves))
@@ -163,7 +160,6 @@ def _repeat_row(repeat: Repeat) -> tuple[str, ...]:
 
 
 def judgement_verdict(judgement: Judgement) -> PageVerdict:
-    """Say whether later poses contradict a calibration."""
     sentence = judgement.verdict[0].upper() + judgement.verdict[1:] + "."
     if judgement.contradicted:
         return PageVerdict("", "useless", "Contradicted", sentence)
@@ -171,7 +167,6 @@ def judgement_verdict(judgement: Judgement) -> PageVerdict:
 
 
 def judgement_section(judgement: Judgement) -> ReportSection:
-    """Show the errors of poses that were not fitted, with those predicted."""
     rows = [(p.name, str(p.points), p.camera, p.projector) for p in judgement.poses]
     rows.append(("all", str(sum(p.points for p in judgement.poses)), judgement.camera, judgement.projector))
     cells = tuple(

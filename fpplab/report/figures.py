@@ -40,13 +40,11 @@ from fpplab.report.raster import CloudLike, block_mean, raster_of, rasterise
 
 @as_png
 def camera_image(image: Image, bits: int = 8) -> Figure:
-    """Draw one frame with its saturated pixels marked."""
     return draw_frame(image, bits)
 
 
 @as_png
 def wrapped_phase_figure(phase: Map) -> Figure:
-    """Draw the wrapped phase of one fringe set on a cyclic colour map."""
     figure, axes = map_axes(phase.shape)
     bar = colour_bar(figure, axes, draw_map(axes, phase, "twilight", (0.0, TWO_PI)), "wrapped phase in rad")
     bar.set_ticks([0, np.pi / 2, np.pi, 1.5 * np.pi, TWO_PI], labels=["0", "π/2", "π", "3π/2", "2π"])
@@ -55,7 +53,6 @@ def wrapped_phase_figure(phase: Map) -> Figure:
 
 @as_png
 def coordinate_map(values: Map, axis: Axis) -> Figure:
-    """Draw a projector coordinate with contour lines."""
     figure, axes = map_axes(values.shape)
     limits = value_range(values, 0.1, 99.9)
     mappable = draw_map(axes, values, "viridis", limits)
@@ -73,7 +70,6 @@ def coordinate_map(values: Map, axis: Axis) -> Figure:
 
 @as_png
 def modulation_map(values: Map) -> Figure:
-    """Draw the modulation, the amplitude of the fringes."""
     figure, axes = map_axes(values.shape)
     mappable = draw_map(axes, values, "inferno", (0.0, value_range(values, 0.0, 99.5)[1]))
     colour_bar(figure, axes, mappable, "modulation in grey levels of 255")
@@ -82,7 +78,6 @@ def modulation_map(values: Map) -> Figure:
 
 @as_png
 def shaded_relief(cloud: CloudLike) -> Figure:
-    """Draw the measured surface as the camera sees it, illuminated from the upper left."""
     grid = raster_of(cloud)
     points, extent = rasterise(grid, cloud.points)
     figure, axes = map_axes(points.shape)
@@ -92,7 +87,6 @@ def shaded_relief(cloud: CloudLike) -> Figure:
 
 
 def depth_map(cloud: CloudLike) -> bytes:
-    """Draw the distance of the points from the camera along its axis."""
     return point_map(cloud, cloud.points[:, 2], "viridis_r", "distance z from the camera in mm")
 
 
@@ -104,7 +98,6 @@ def point_map(
     label: str,
     limits: tuple[float, float] | None = None,
 ) -> Figure:
-    """Draw a value of every point."""
     # values (N,)
     grid = raster_of(cloud)
     mapped, extent = rasterise(grid, np.asarray(values, np.float32)[:, None])
@@ -116,7 +109,6 @@ def point_map(
 
 
 def thumbnail(cloud: CloudLike, width_px: int = 232) -> bytes:
-    """Draw the measured surface small, without axes."""
     bright = np.nan_to_num(surface_shading(rasterise(raster_of(cloud), cloud.points)[0]), nan=0.85)
     height = max(1, min(2 * width_px, round(width_px * bright.shape[0] / bright.shape[1])))
     small = cv2.resize(bright, (width_px, height), interpolation=cv2.INTER_AREA)
@@ -124,7 +116,6 @@ def thumbnail(cloud: CloudLike, width_px: int = 232) -> bytes:
 
 
 def surface_shading(points: Map) -> Map:
-    """Compute the brightness of an illuminated, slightly glossy surface."""
     # points (h, w, 3) mm
     coarse = block_mean(points, 760)  # of about 760 columns: a mean reduces the noise of the normals
     measured = np.isfinite(coarse[..., 0])
@@ -149,7 +140,6 @@ def error_map(
     counted: Mask | None = None,
     quantity: str = "signed error",
 ) -> Figure:
-    """Draw a cloud coloured by its signed distance from the true shape, and the distribution of these."""
     # The colours span ± the 98th percentile of the absolute distance, which the colour bar states.
     # distances_mm (N,); counted (N,)
     errors = 1e3 * np.asarray(distances_mm, np.float32)
@@ -184,7 +174,6 @@ def _distribution(axes: Axes, errors: NDArray[np.floating[Any]], limit: float, q
 
 @as_png
 def residuals_figure(pixels: Floats, errors: Floats, size: tuple[int, int], device: str) -> Figure:
-    """Draw reprojection errors as arrows over the sensor, and as a scatter plot with their RMS."""
     # pixels (N, 2) px; errors (N, 2) px
     if pixels.shape != errors.shape or not len(pixels):
         raise DataError(f"{device}: {len(errors)} residuals were given for {len(pixels)} pixels")
@@ -224,7 +213,6 @@ def residuals_figure(pixels: Floats, errors: Floats, size: tuple[int, int], devi
 
 @as_png
 def draw_coverage(poses: Sequence[Floats], size: tuple[int, int], device: str) -> Figure:
-    """Draw where the board's points were on a sensor, one colour per pose."""
     # poses (N, 2) px
     figure, axes = map_axes(size[::-1])
     sensor_axes(axes, size, device)
@@ -241,7 +229,6 @@ def draw_coverage(poses: Sequence[Floats], size: tuple[int, int], device: str) -
 
 @as_png
 def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Sequence[float]) -> Figure:
-    """Draw the RMS reprojection error of each pose, camera and projector side by side."""
     figure, axes = single_axes(FULL, 2.6)
     place = np.arange(len(names))
     axes.bar(place - 0.2, camera_px, 0.38, color=ACCENT, label="camera")
@@ -256,7 +243,6 @@ def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Seq
 
 @as_png
 def pattern_sheet(patterns: Sequence[Pattern]) -> Figure:
-    """Draw patterns as they are loaded, in their order from the upper left, each with its id."""
     # They are reduced by averaging: stripes that are too fine for the sheet appear grey.
     columns = 6
     rows = -(-len(patterns) // columns)

@@ -28,7 +28,6 @@ FIGURE = (
 
 
 def guided_section(run: GuidedRun) -> ReportSection:
-    """Show the poses of a guided characterisation in their order."""
     rows = tuple(_attempt_row(k, attempt) for k, attempt in enumerate(run.attempts, 1))
     picture = ReportFigure.of(sequence_figure(run), "Uncertainty and residuals by pose", FIGURE, wide=True)
     text = run.sentence[0].upper() + run.sentence[1:] + "."
@@ -39,7 +38,6 @@ def guided_section(run: GuidedRun) -> ReportSection:
 
 @as_png
 def sequence_figure(run: GuidedRun) -> Figure:
-    """Draw the uncertainty after each pose, and the residuals of each."""
     figure = new_figure(FULL, 3.4)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
     _draw_form(figure.add_subplot(grid[:, 0]), run)

@@ -176,7 +176,6 @@ def _convergence_section(search: SearchResult) -> ReportSection:
 
 @as_png
 def convergence_figure(search: SearchResult) -> Sheet:
-    """Draw every candidate's distance and another objective if one differs, and the best so far."""
     measured = [(i, trial) for i, trial in enumerate(search.trials) if trial.measured]
     best = [(epoch.measured - 1, epoch.best) for epoch in search.epochs]
     distance, images = (registered_objectives()[key] for key in ("surface_smcd_um", "images"))
@@ -207,7 +206,6 @@ def convergence_figure(search: SearchResult) -> Sheet:
 
 
 def _axis_label(objective: Objective) -> str:
-    """Name an objective at an axis, where there is room for words."""
     return DISTANCE if objective.key == "surface_smcd_um" else objective.label.lower()
 
 
@@ -240,7 +238,6 @@ def _front_section(search: SearchResult) -> ReportSection:
 
 @as_png
 def pareto_front(search: SearchResult) -> Sheet:
-    """Draw the first two objectives: all candidates, and the Pareto front with its spread."""
     down, across = search.ranking.objectives[:2]
     figure, axes = single_axes(FULL, 3.6)
     measured = [trial for trial in search.trials if trial.measured]
@@ -310,7 +307,6 @@ def _parameter_section(search: SearchResult, angles: Mapping[float, float]) -> R
 def completeness_by_parameter(
     search: SearchResult, i: int, parameter: Parameter, angles: Mapping[float, float]
 ) -> Sheet:
-    """Draw completeness and RMS of every candidate against one parameter of the geometry, or its angle."""
     figure, axes = single_axes(HALF, 3.0)
     rms = axes.twinx()
     measured = sorted((t for t in search.trials if t.measured), key=lambda t: t.point[i])
@@ -332,7 +328,6 @@ def completeness_by_parameter(
 
 @as_png
 def distance_by_parameter(search: SearchResult, i: int, parameter: Parameter) -> Sheet:
-    """Draw the mean distance of every candidate against one parameter, with the spread over seeds."""
     figure, axes = single_axes(HALF, 3.0)
     measured = [trial for trial in search.trials if trial.measured]
     for keeps, mark, colour in ((True, ".", GREY), (False, "x", SECOND)):

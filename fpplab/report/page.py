@@ -96,7 +96,6 @@ def _shared_head_facts(sources: Mapping[str, Provenance]) -> dict[str, str]:
 
 
 def _provenance_table(sources: Mapping[str, Provenance]) -> ReportTable:
-    """A column for everything that was measured; rows that differ are marked."""
     present = [key for key in LABELS if any(key in source.values for source in sources.values())]
     rows = tuple(
         (LABELS[key], *(source.values.get(key, "") or NOT_RECORDED for source in sources.values()))
@@ -125,5 +124,4 @@ def _as_json(title: str, basis: PageBasis, tables: Sequence[ReportTable]) -> str
 
 
 def _plain(value: Any) -> Any:
-    """Paths as text, figures of NumPy as numbers."""
     return value.item() if hasattr(value, "item") else str(value)

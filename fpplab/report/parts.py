@@ -29,7 +29,6 @@ class PageVerdict:
 
     @classmethod
     def of(cls, diagnosis: Diagnosis, name: str = "") -> PageVerdict:
-        """Take over the verdict on a scan or a characterisation."""
         word = diagnosis.verdict.value
         texts = (name, word, word.capitalize(), diagnosis.reason)
         findings = listed(diagnosis.findings)
@@ -77,7 +76,6 @@ class ReportTable:
 
 
 def data_link(kind: str, text: str) -> str:
-    """Put a text into a `data:` link."""
     return f"data:{kind};base64,{base64.b64encode(text.encode('utf-8')).decode('ascii')}"
 
 

@@ -44,7 +44,6 @@ class ResponseLike(Protocol):
 
 @as_png
 def response_curve(response: ResponseLike, levels: Floats) -> Figure:
-    """Draw levels measured and fitted, and the residuals."""
     # levels (K, 2)
     shown, measured = levels.T
     axis = np.linspace(0, 1, 200)
@@ -72,7 +71,6 @@ def response_curve(response: ResponseLike, levels: Floats) -> Figure:
 
 @as_png
 def response_fit(response: Response) -> Figure:
-    """Draw a fitted response: levels with error bars, the curve, residuals, and exponents of regions."""
     # Error bars span two standard uncertainties each way.
     if not response.measured or not response.regions:
         raise DataError("the response holds no levels and regions to draw; measure it with `fpplab gamma`")
@@ -128,7 +126,6 @@ def _region_exponents(axes: Axes, response: Response) -> None:
 
 @as_png
 def marker_levels(shown: NDArray[np.integer[Any]], runs: Mapping[str, Floats]) -> Figure:
-    """Draw the levels seen of a marker frame by frame, and those expected of synchronous frames."""
     # shown (K,); seen of (K,)
     return draw_marker_levels(shown, runs)
 

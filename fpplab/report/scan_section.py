@@ -187,7 +187,6 @@ def frame_figure(scan: ScanSection) -> ReportFigure:
 
 
 def relief_figure(name: str, cloud: Cloud) -> ReportFigure:
-    """Draw the measured surface, illuminated."""
     return ReportFigure.of(
         figures.shaded_relief(cloud),
         f"Shaded relief of the measured {name}",
@@ -196,7 +195,6 @@ def relief_figure(name: str, cloud: Cloud) -> ReportFigure:
 
 
 def depth_figure(name: str, cloud: Cloud) -> ReportFigure:
-    """Draw the distance of a surface from the camera."""
     return ReportFigure.of(
         figures.depth_map(cloud),
         f"Map of the distance of the {name} from the camera",
@@ -205,7 +203,6 @@ def depth_figure(name: str, cloud: Cloud) -> ReportFigure:
 
 
 def sigma_figures(name: str, cloud: Cloud, plan: Plan | None = None) -> list[ReportFigure]:
-    """Draw the standard uncertainty of the points."""
     if cloud.sigma_noise_mm is None:
         return []
     alt = f"Maps of the standard uncertainty of the points of the {name}"
@@ -226,7 +223,6 @@ def error_figure(name: str, cloud: Cloud, comparison: Comparison) -> ReportFigur
 
 
 def lengths_tables(comparison: Comparison) -> tuple[ReportTable, ...]:
-    """Tabulate measured and true lengths, with what contradicts the distances below."""
     rows = tuple((m.name, *m.texts()) for m in comparison.lengths)
     warnings = comparison.warnings()
     columns = ("Length", "True in mm", "Measured in mm", "Error in µm", "Standard uncertainty in µm")

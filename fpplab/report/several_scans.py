@@ -31,7 +31,6 @@ from fpplab.results.several_scans import (
 
 
 def write_scans_report(path: Path, result: ScansResult) -> None:
-    """Write several scans side by side as one HTML file."""
     scans = result.scans
     if not any(scan.cloud for scan in scans):
         raise DataError(f"none of {len(scans)} sessions holds a cloud; reconstruct them first")
@@ -52,7 +51,6 @@ def write_scans_report(path: Path, result: ScansResult) -> None:
 
 
 def scan_verdict(scan: ScanRecord) -> PageVerdict:
-    """Say whether to believe a scan, with a small picture of it."""
     picture = base64.b64encode(figures.thumbnail(scan.cloud)).decode("ascii") if scan.cloud else ""
     if scan.diagnosis is not None:
         return replace(PageVerdict.of(scan.diagnosis, scan.name), thumbnail=picture)

@@ -27,7 +27,6 @@ PARTS = {
 
 @as_png
 def sigma_maps(cloud: Cloud) -> Figure:
-    """Draw the points' standard uncertainties in µm, a map with its median for each known part."""
     sigmas = {
         title: 1e3 * sigma for name, title in PARTS.items() if (sigma := getattr(cloud, name)) is not None
     }
@@ -47,7 +46,6 @@ def sigma_maps(cloud: Cloud) -> Figure:
 
 
 def sigma_caption(cloud: Cloud, plan: Plan | None = None) -> str:
-    """Explain what `sigma_maps` shows, and which figure holds for the place and which for the shape."""
     noise = "Noise: predicted from the fringes, along the camera's ray, independent from point to point."
     if cloud.sigma_phase_error_mm is None:
         noise += f" {_why_unknown(plan)}"

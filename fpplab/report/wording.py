@@ -6,14 +6,12 @@ NOT_KNOWN = "–"  # shown where a figure is not known
 
 
 def number_text(value: float | None) -> str:
-    """Write a figure with three significant digits."""
     if value is None:
         return NOT_KNOWN
     return f"{value:.3g}" if abs(value) < 1000 else count_text(round(value))
 
 
 def count_text(value: int) -> str:
-    """Write a whole number, its thousands apart."""
     return f"{value:,}".replace(",", "\u202f")
 
 

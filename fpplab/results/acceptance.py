@@ -23,7 +23,6 @@ class AcceptanceResult:
     report_file: Path
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab verify --json` prints."""
         return {
             **self.diagnosis.summary(),
             **self.acceptance.summary(),

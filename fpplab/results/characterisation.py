@@ -33,7 +33,6 @@ class CharacterisationResult:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab characterise --json` prints."""
         return {**self.figures(), "provenance": self.provenance.summary(), "report": str(self.report_file)}
 
 
@@ -49,7 +48,6 @@ class JudgementResult:
         return {**self.judgement.summary(), "left_out": self.judgement.left_out}
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab characterise --judge --json` prints."""
         return {
             **self.figures(),
             "provenance": self.provenance.summary(),
@@ -67,7 +65,6 @@ class CorrectionResult:
     report_file: Path
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab characterise --correct --json` prints."""
         return {
             **self.correction.summary(),
             "left_out": self.correction.after.left_out,
@@ -86,7 +83,6 @@ class CombinationResult:
     calibration_file: Path
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab characterise --combine --json` prints."""
         return {
             **self.combination.summary(),
             "combined": [str(path) for path in self.combined],

@@ -23,7 +23,6 @@ class CheckResult:
     picture_files: tuple[Path, ...] = ()  # of the findings and the levels
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab check --json` prints."""
         return {
             **self.check.summary(),
             "provenance": self.provenance.summary(),
@@ -40,6 +39,5 @@ class BoardCheckResult:
     corrected: CorrectionResult | None  # where the pose contradicts the calibration
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab check --board --json` prints."""
         corrected = {} if self.corrected is None else {"corrected": self.corrected.summary()}
         return {**self.judged.summary(), **corrected}

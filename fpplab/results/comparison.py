@@ -43,7 +43,6 @@ class ComparisonResult:
         return figures
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab compare --json` prints."""
         return {
             **self.figures(),
             "provenance": self.provenance.summary(),

@@ -31,7 +31,6 @@ class DecodingResult:
             self.diagnosis.require_usable(self.name, self._figures())
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab decode --json` prints."""
         return {**self.diagnosis.summary(), **self._figures()}
 
     def _figures(self) -> dict[str, Any]:

@@ -29,7 +29,6 @@ class DemoScan:
     unfiltered: Comparison  # of the points without the plan's filter
 
     def summary(self) -> dict[str, Any]:
-        """Give the keys of one scan in `fpplab demo --json`."""
         return {
             "artefact": self.artefact,
             "images": self.scan.session.plan.images,
@@ -52,7 +51,6 @@ class DemoResult:
     report_file: Path
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab demo --json` prints."""
         distances = [scan.comparison.surface_smcd_um for scan in self.scans]
         left_out = list(self.characterisation.left_out)
         return {

@@ -24,7 +24,6 @@ class MapsResult:
     cloud_file: Path
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab reconstruct --json` prints."""
         epipolar = self.cloud.epipolar_px
         return {
             **self.diagnosis.summary(),

@@ -72,7 +72,6 @@ class Provenance:
 def session_provenance(
     session: Session, calibration: Calibration | None = None, file: Path | None = None
 ) -> Provenance:
-    """Describe where a recorded scan comes from."""
     rig, times = session.rig() or {}, taken_at(session)
     origin = session_origin(session.path)
     mounted = rig.get("resolved", {}).get("mounted")
@@ -98,7 +97,6 @@ def session_provenance(
 def poses_provenance(
     poses: Sequence[Session], calibration: Calibration, file: Path | None = None
 ) -> Provenance:
-    """Describe which poses of a board a calibration was made from, or is judged by."""
     first = session_provenance(poses[0], calibration, file)
     times = [taken_at(pose) for pose in poses]
     began, ended = ([period[k] for period in times if period] for k in (0, 1))
@@ -109,7 +107,6 @@ def poses_provenance(
 
 
 def point_list_provenance(points: Path, calibration: Calibration, file: Path) -> Provenance:
-    """Describe which table of points a calibration was made from."""
     return Provenance(
         {"session": str(points), **calibration_values(calibration, file, None), **written_now()}
     )
@@ -124,7 +121,6 @@ def rig_provenance(
     calibration: Calibration | None = None,
     file: Path | None = None,
 ) -> Provenance:
-    """Describe what a check or a response was measured with, without a session."""
     camera = rig.get("camera")
     section = camera if isinstance(camera, Mapping) else {}
     exposure = plan.exposure_s if exposure_s is None else exposure_s
@@ -150,7 +146,6 @@ def rig_provenance(
 
 
 def described_rig(rig: Rig) -> tuple[dict[str, object], SessionOrigin]:
-    """Describe an open rig for `rig_provenance`."""
     return rig.described(), SessionOrigin.of(rig)
 
 
@@ -167,7 +162,6 @@ def cloud_provenance(cloud: Path, calibration: Calibration | None = None) -> Pro
 def source_provenance(
     source: Path, calibration: Calibration | None = None, file: Path | None = None
 ) -> Provenance:
-    """Describe where a cloud or a session comes from."""
     adjacent = (source if source.is_dir() else source.parent) / CALIBRATION
     used = calibration or (Calibration.load(adjacent) if adjacent.is_file() else None)
     if source.is_dir():
@@ -181,7 +175,6 @@ def calibration_values(
     used: datetime | None,
     devices: SessionOrigin | None = None,
 ) -> dict[str, str | None]:
-    """Describe which calibration it was, and how old."""
     if calibration is None:
         return {"calibration": None}
     origin = calibration.origin

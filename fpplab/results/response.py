@@ -37,7 +37,6 @@ class ResponseResult:
         return {**self.response.summary(), "judgement": self.judgement.model_dump(mode="json")}
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab gamma --json` prints."""
         return {
             **self.figures(),
             "provenance": self.provenance.summary(),

@@ -46,7 +46,6 @@ class OptimisationResult:
     compared: BeforeAndAfter = field(default_factory=BeforeAndAfter)
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab optimise --json` prints."""
         return {
             **self.diagnosis.summary(),
             **self.search.summary(),

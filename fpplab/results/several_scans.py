@@ -29,7 +29,6 @@ def roughness_um(cloud: Cloud) -> float | None:
 
 
 def noise_um(cloud: Cloud) -> float | None:
-    """Give the median standard uncertainty of the points by noise."""
     return None if cloud.sigma_noise_mm is None else 1e3 * float(np.median(cloud.sigma_noise_mm))
 
 
@@ -114,7 +113,6 @@ class ScansResult:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Collect what `fpplab report --json` prints."""
         return {
             **self.figures(),
             "provenance": {scan.name: scan.provenance.summary() for scan in self.scans},

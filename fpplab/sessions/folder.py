@@ -24,7 +24,6 @@ from fpplab.sessions.rig_record import RigRecord
 
 
 def write_initial_files(path: Path, plan: Plan, rig: RigRecord) -> None:
-    """Write the files of a session without frames."""
     write_recorded(path / PLAN, config.dump(plan), keep=True)
     if rig is not None:
         write_recorded(path / RIG, config.to_yaml(rig), keep=True)

@@ -62,7 +62,6 @@ def present_format() -> str:
 
 
 def write_format(path: Path) -> None:
-    """Record in a session that it has the present format."""
     write_recorded(path / FORMAT, present_format(), keep=True)
 
 

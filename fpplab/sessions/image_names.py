@@ -43,7 +43,6 @@ class NumberedNames:
         return self.form.format(**dict(zip(self._fields, numbers, strict=True)))
 
     def existing(self) -> list[NameNumbers]:
-        """Find the files whose names have the form."""
         parts = list(string.Formatter().parse(self.form))
         pattern = "".join(glob.escape(text) + ("*" if field else "") for text, field, _, _ in parts)
         form = "".join(
@@ -66,7 +65,6 @@ class NumberedNames:
         return [(self.first[0] + k, first + n) for k, count in enumerate(sets) for n in range(count)]
 
     def check(self, expected: Sequence[NameNumbers], skipped: Sequence[NameNumbers], planned: bool) -> None:
-        """Refuse a folder that lacks images or has more of the same name."""
         existing = self.existing()
         missing = sorted(set(expected) - set(existing))
         surplus = sorted(set(existing) - set(expected) - set(skipped))

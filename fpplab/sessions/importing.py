@@ -38,7 +38,6 @@ def import_images(
     warn: Say = ignore,
     tell: Say = ignore,
 ) -> Session:
-    """Bring grey images into a new session, in the plan's order."""
     # Every image is checked before the session is made.
     # projector_size (width, height) px
     check_bits(bits)

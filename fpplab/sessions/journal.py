@@ -67,7 +67,6 @@ class FrameRecord(Document):
 
     @property
     def settings(self) -> CameraSettings:
-        """The camera's settings at this frame."""
         return CameraSettings(self.exposure_s, self.gain_db, self.bits)
 
 
@@ -87,7 +86,6 @@ def pattern_ids(plan: Plan) -> list[str]:
 def check_frame_place(
     index: int, pattern: str, ids: list[str], taken: Container[int], error_prefix: Path | str
 ) -> None:
-    """Refuse a frame that does not belong where it claims to."""
     if index in taken:
         raise DataError(f"{error_prefix}: frame {index} is recorded already")
     if not 0 <= index < len(ids) or pattern != ids[index]:

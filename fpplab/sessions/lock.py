@@ -18,7 +18,6 @@ _held: dict[Path, int] = {}
 
 @contextmanager
 def exclusive_write(path: Path) -> Iterator[None]:
-    """Keep other processes from writing into a session."""
     # The lock is a file next to the session, `.NAME.lock`, which the system unlocks when its process ends,
     # however it does; a session that is replaced keeps its lock. It names the process that holds it.
     place = path.resolve()

@@ -50,7 +50,6 @@ class SessionOrigin(Origin):
 
     @classmethod
     def of(cls, rig: Rig, first_frame: int | None = None) -> SessionOrigin:
-        """Describe an open rig, now."""
         opened = {
             "camera": rig.camera,
             "projector": rig.projector,

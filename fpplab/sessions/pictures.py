@@ -47,7 +47,6 @@ class PictureFile:
         self.is_lossy = self._picture.format in LOSSY or self._picture.info.get("compression") in LOSSY
 
     def size(self, page: int) -> tuple[int, int]:
-        """Width and height in px."""
         self._picture.seek(page)
         return self._picture.size
 

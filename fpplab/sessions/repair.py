@@ -155,7 +155,6 @@ def _replace_session_file(path: Path, name: str, text: str, report: RepairReport
 
 
 def _set_aside(path: Path, name: str, report: RepairReport) -> None:
-    """Move a damaged file out of the session."""
     place = _place_aside(path, name)
     with writing(place):
         place.parent.mkdir(parents=True, exist_ok=True)

@@ -46,7 +46,6 @@ class RecordedSession:
         self.shown: int | None = None
 
     def open(self) -> None:
-        """Refuse a recording without frames."""
         _ = self.session.format
 
     def close(self) -> None:
@@ -56,7 +55,6 @@ class RecordedSession:
         return self.session.records[0]
 
     def camera_offset(self) -> tuple[int, int] | None:
-        """Give the place of the frames on the sensor, where it was recorded."""
         origin = session_origin(self.session.path)
         return origin.camera_offset if origin else None
 

@@ -52,7 +52,6 @@ class DisplayTiming:
 
     @property
     def agrees(self) -> bool:
-        """Whether measured and stated refresh period agree."""
         if self.refresh_s is None or self.reported_s is None:
             return True
         return abs(self.refresh_s / self.reported_s - 1.0) <= LIMITS.max_difference
@@ -67,7 +66,6 @@ class DisplayTiming:
 
 
 def measure_display(rig: Rig, plan: Plan, progress: Progress) -> DisplayTiming:
-    """Measure the latency of a rig's projector, and its refresh period if it has one."""
     try:
         settle_s = _Levels(rig, plan, plan.exposure_s).settling_s(lambda share: progress(0.7 * share))
         projector = rig.projector
@@ -109,7 +107,6 @@ class _Levels:
             )
 
     def settling_s(self, progress: Progress) -> float:
-        """Find the shortest wait that suffices."""
         for k, wait_s in enumerate(LIMITS.waits_s):
             progress(k / len(LIMITS.waits_s))
             if self._suffices(wait_s):

@@ -84,7 +84,6 @@ class RigDraft:
         return f"# Written by `fpplab rig new`; docs/hardware.md has every option.\n{written}"
 
     def summary(self) -> dict[str, Any]:
-        """Give the results of the tests as plain values."""
         return {kind: asdict(test) for kind, test in self.tests.items()}
 
 
@@ -218,7 +217,6 @@ def look_at_scene(camera: Camera) -> CameraTest:
 
 
 def look_at_light(camera: Camera, projector: Projector) -> ProjectorTest:
-    """Show white and black, and see both with the camera."""
     projector.load(uniform_patterns([255, 0], projector.caps.size))
     projector.show(0)
     time.sleep(LIMITS.settle_s)

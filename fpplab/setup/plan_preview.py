@@ -31,7 +31,6 @@ class PlanPreview:
 
 
 def preview_plan(rig: Rig, plan: Plan, source: Path | str) -> tuple[PlanPreview, Sequence[Pattern]]:
-    """Find out what a plan consists of on a rig, and whether its devices accept it."""
     # The camera is configured and the patterns are loaded, as for a measurement; nothing is projected. What
     # shows only while patterns are shown is not found, such as a trigger cable that is not connected.
     camera, caps = rig.camera, rig.projector.caps

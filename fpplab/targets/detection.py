@@ -16,7 +16,6 @@ from fpplab.targets.views import Detection, stretch_to_8_bits
 
 
 def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
-    """Find a board in a grey image."""
     # Of a board that looks the same after half a turn, the order is the one whose x axis points right or down
     # in the image.
     # image (height, width)
@@ -28,7 +27,6 @@ def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
 
 
 def refine_points(layout: BoardLayout, coarse: Detection, level: Floats) -> Detection | None:
-    """Locate every point by a model fit of its own."""
     # level (height, width)
     centres = fit_centres(level, coarse.pixels, layout.frames(coarse), layout.point_model())
     fitted = np.isfinite(centres).all(axis=1)

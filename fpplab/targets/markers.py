@@ -17,12 +17,10 @@ DictionaryName = Literal[
 
 
 def markers_in(name: DictionaryName) -> int:
-    """Count the markers of a dictionary."""
     return int(name.split("_")[1])
 
 
 def load_dictionary(name: DictionaryName) -> cv2.aruco.Dictionary:
-    """Load a dictionary that comes with OpenCV."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name.upper()}"))
 
 

@@ -20,7 +20,6 @@ def facing_front(cells: Cells, pixels: Floats) -> GridPatch:
 
 
 def patch_of_blobs(blobs: Floats) -> GridPatch | None:
-    """Find the largest lattice that blobs form."""
     # blobs (n, 2) px
     if len(blobs) < LIMITS.min_points:
         return None

@@ -84,7 +84,6 @@ def print_target(
 
 
 def ink(target: Target) -> Outline:
-    """Outline all that has the foreground's colour."""
     # It is one outline, so that no hairline shows where two squares of a marker meet.
     # returns (x right, y down)
     return Outline.make_compound_path(*(_outline(shape) for shape in target.layout.shapes()))

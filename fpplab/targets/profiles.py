@@ -38,7 +38,6 @@ class PointModel:
     half_mm: float  # half the side in mm of the square around the point that shows nothing else
 
     def brightness(self, theta: Floats, x: Floats, y: Floats) -> Floats:
-        """Compute the model's brightness."""
         # x (n,) px; y (n,) px; returns (n,)
         values = np.empty(len(x))
         _brightness(int(self.surroundings), theta, x, y, values)

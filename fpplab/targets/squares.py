@@ -20,7 +20,6 @@ class SquareLayout(BoardLayout):
             raise ValueError("'spacing_mm' must be the same along x and y for squares")
 
     def reach(self) -> Floats:
-        """Compute how far the squares extend beyond the outermost corners."""
         # returns (2,) mm
         return np.array(self.spacing_mm)
 

@@ -31,7 +31,6 @@ class AcceptanceView(MeasurementView):
         self.results(decoded, cloud, None, None)
 
     def result(self, acceptance: Acceptance) -> None:
-        """Show all fitted points by their distance from the fit, and the verdict."""
         features: list[MeasuredFeature] = [
             feature.measured for bar in acceptance.bars for feature in bar.spheres
         ]

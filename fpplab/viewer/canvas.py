@@ -89,7 +89,6 @@ class Canvas:
             stream.set_time(timeline, sequence=number)
 
     def log(self, entity: str, archetype: Any, *, static: bool = False, bulky: bool = False) -> None:
-        """Draw one of rerun's archetypes."""
         if self._live:
             self._live.log(entity, archetype, static=static)
         if self._kept and not (bulky and self._bytes > MAX_RECORDING_BYTES):
@@ -151,7 +150,6 @@ class Canvas:
         self.log(entity, rr.TextDocument(markdown, media_type="text/markdown"), static=static)
 
     def device(self, entity: str, device: Pinhole, T_world_device: RigidTransform, reach_mm: float) -> None:
-        """Show a camera or projector at its pose, with its pyramid of sight, which views open on."""
         # Pinholes are drawn without distortion, so the edge of an image may differ from the cloud's.
         import rerun as rr
 

@@ -21,7 +21,6 @@ class CharacterisationView(MeasurementView):
     """Boards with both devices on the left, frames and residuals on the right."""
 
     def scenes(self, colourings: Sequence[Colouring] = ()) -> Any:
-        """Lay out the boards in space with the colour bar of their errors."""
         import rerun.blueprint as rrb
 
         devices = [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{REACH['rig']}"]
@@ -39,7 +38,6 @@ class CharacterisationView(MeasurementView):
         ]
 
     def result(self, characterisation: Characterisation) -> None:
-        """Show the devices, every board coloured by its points' errors, and the residuals."""
         self.calibration(characterisation.calibration)
         points, errors = [], []
         for pose, observation, residuals in zip(

@@ -55,7 +55,6 @@ class ColourScale:
         return np.concatenate([shown, np.asarray(bar)])
 
     def bar(self) -> NDArray[np.uint8]:
-        """Draw the colour bar, with numbers, quantity and unit."""
         width, height = BAR_SIZE
         sheet = Pixels.new("RGB", BAR_SIZE, _PAPER)
         across = width - 2 * _MARGIN

@@ -35,7 +35,6 @@ def with_bar(content: Any, bar: str, name: str) -> Any:
 
 
 def curves(name: str, contents: Mapping[str, Sequence[str]] | Sequence[str]) -> Any:
-    """View curves over the timeline, all of them from the beginning."""
     import rerun.blueprint as rrb
 
     return rrb.TimeSeriesView(origin="/", contents=list(contents), name=name)

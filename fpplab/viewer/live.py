@@ -123,7 +123,6 @@ class LiveView(CommandView):
         )
 
     def scene(self, geometry: RigGeometry, distance_mm: float | None) -> None:
-        """Show both devices, and the part of space that both see."""
         self.canvas.directions("world")
         show_devices(self.canvas, geometry.calibration)
         self._draw_overlap(geometry, distance_mm)
@@ -153,7 +152,6 @@ class LiveView(CommandView):
             self.canvas.log("world/working", working, static=True)
 
     def snapshot(self, now: LiveSnapshot) -> None:
-        """Show a frame with the state after it."""
         import rerun as rr
 
         self.canvas.at("frame", now.number)

@@ -74,7 +74,6 @@ class MeasurementView(CommandView):
     """Images and maps on the right; on the left the part, in several colourings, and the rig."""
 
     def arrange_views(self) -> None:
-        """Arrange the views and say which way the axes point."""
         self._shown = _Shown()
         self.canvas.directions("world")
         self.canvas.layout(self.arrangement())
@@ -126,7 +125,6 @@ class MeasurementView(CommandView):
         self.canvas.layout(self.arrangement())
 
     def frame(self, frame: ShownFrame) -> None:
-        """Show a camera image, the pattern that it shows, and the phase once its fringe set is complete."""
         self.canvas.at("frame", frame.index)
         self.canvas.picture(IMAGE, eight_bits(frame.image, frame.bits))
         if self._shown.plan is not None:
@@ -151,12 +149,10 @@ class MeasurementView(CommandView):
         self.canvas.map("maps/phase", phase, ColourScale("Phase", "rad", "twilight", 0.0, TWO_PI))
 
     def calibration(self, calibration: Calibration) -> None:
-        """Show camera and projector at their poses."""
         self._shown.calibration = calibration
         show_devices(self.canvas, calibration)
 
     def maps(self, decoded: Decoded) -> None:
-        """Show projector coordinates and modulation."""
         # decoded (h, w)
         shown = (
             ("u", decoded.u, "Projector column u", "px", "viridis"),
@@ -175,7 +171,6 @@ class MeasurementView(CommandView):
         depth: DepthRange | None,
         errors_um: NDArray[np.floating[Any]] | None,
     ) -> None:
-        """Show the points in the camera's grey levels, by uncertainty, by order risk and by error."""
         # errors_um (N,) µm
         if decoded is not None:
             self.maps(decoded)
@@ -188,7 +183,6 @@ class MeasurementView(CommandView):
         self.canvas.layout(self.arrangement(shown))
 
     def cloud(self, cloud: Cloud) -> None:
-        """Show the points in the camera's grey levels, or else by their depth."""
         if cloud.colour is not None:
             bright = max(float(np.percentile(cloud.colour, 98)), 1.0)
             colours = ColourScale("Grey level", "", "gray", 0.0, bright).colours_of(
@@ -214,7 +208,6 @@ class MeasurementView(CommandView):
 
 
 def show_devices(canvas: Canvas, calibration: Calibration) -> None:
-    """Show camera and projector at their poses in the camera's frame."""
     reach = 0.5 * calibration.baseline_mm
     canvas.device(CAMERA, calibration.camera, RigidTransform.identity(), reach)
     canvas.device(PROJECTOR, calibration.projector, calibration.T_projector_camera.inverse(), reach)

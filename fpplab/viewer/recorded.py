@@ -56,7 +56,6 @@ def view_session(
 def view_recording(
     path: Path, shown: ViewerPlace = "anywhere", announce: Callable[[str], object] = print
 ) -> str:
-    """Show a recording until its window or page is closed or Ctrl-C is pressed."""
     with path.open("rb") as stream:
         if stream.read(4) != b"RRF2":
             raise DataError(f"{path}: is no recording of the viewer, or is damaged; view its session instead")

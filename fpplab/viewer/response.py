@@ -28,7 +28,6 @@ class ResponseView(CommandView):
         self.canvas.layout(rrb.Horizontal(layouts.image("Camera", "/images/camera"), right))
 
     def frame(self, level: int, frame: ShownFrame) -> None:
-        """Show a uniform image as the camera saw it."""
         full = (1 << frame.bits) - 1
         self.canvas.at("frame", len(self._levels))
         self._levels.append((float(level), float(frame.image.mean()) / full))
@@ -46,7 +45,6 @@ class ResponseView(CommandView):
 
 @as_png
 def levels_so_far(levels: list[tuple[float, float]]) -> Sheet:
-    """Draw the mean levels seen against the levels shown."""
     figure, axes = single_axes(FULL, 3.4)
     axes.plot(*zip(*levels, strict=True), "o", color=ACCENT, markersize=4)
     axes.set(xlabel="grey level shown, of 255", ylabel="mean level seen, of full scale", xlim=(-5, 260))

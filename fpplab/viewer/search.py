@@ -79,7 +79,6 @@ def _candidate_row(name: str, trial: MeasuredCandidate) -> str:
 def front_so_far(
     measured: Sequence[MeasuredCandidate], front: Sequence[MeasuredCandidate], best: MeasuredCandidate
 ) -> Sheet:
-    """Draw candidates by images and distance, with their front and the optimum."""
 
     def places(trials: Sequence[MeasuredCandidate]) -> tuple[list[int], list[float]]:
         figures: list[CandidateFigures] = [trial.figures for trial in trials]

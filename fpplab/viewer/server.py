@@ -93,7 +93,6 @@ def open_server(shown: ViewerPlace, file: Path | None = None) -> ViewerServer:
 
 
 def has_display() -> bool:
-    """Tell whether a window can be shown here."""
     if sys.platform.startswith("linux"):
         return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     return True

@@ -208,7 +208,6 @@ class Viewer(Generic[V]):
             event.set()
 
     def _fail(self, why: str) -> None:
-        """Note a fault, and log the first."""
         if self.fault is None:
             self.fault = why
             self._outbox.end(discard=True)

@@ -265,7 +265,6 @@ def point_list_source(
     projector_size: tuple[int, int] | None,
     lattice: Lattice | None,
 ) -> PointListSource | None:
-    """Combine the options that go with a table of points."""
     from fpplab.characterisation.point_lists import PointListSource
 
     sizes = {"--camera-size": camera_size, "--projector-size": projector_size}
@@ -289,7 +288,6 @@ def _correct(
     json: bool,
     unused: Mapping[str, object],
 ) -> None:
-    """Correct a calibration by sessions of a few poses of its board."""
     from fpplab.targets import Target
     from fpplab.workflows.correct import CorrectionRequest, run_correction
 
@@ -311,7 +309,6 @@ def _combine(
     json: bool,
     unused: Mapping[str, object],
 ) -> None:
-    """Combine calibrations of one rig."""
     from fpplab.workflows.combine import CombinationRequest, run_combination
 
     _refuse_unused("--combine", unused, "calibrations")
@@ -356,7 +353,6 @@ def _judge(
     json: bool,
     unused: Mapping[str, object],
 ) -> None:
-    """Judge a calibration by sessions of poses that it was not fitted to."""
     from fpplab.workflows.judge import JudgementRequest, run_judgement
 
     _refuse_unused("--judge", unused)

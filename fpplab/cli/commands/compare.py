@@ -67,7 +67,6 @@ def compare_command(
 
 
 def _show(result: ComparisonResult) -> None:
-    """Print what matters, then the figures, and the lengths as a table."""
     comparison = result.comparison
     console.stdout.print(result.misplaced or result.headline, markup=False)
     shown_separately = ("lengths", "warnings", "scale")

@@ -121,7 +121,6 @@ def _import_maps(
     x: Path | None, y: Path | None, period: float | None, sigma: float | None,
     projector_size: tuple[int, int] | None, out: Path, force: bool, json: bool, unused: dict[str, object],
 ) -> None:  # fmt: skip
-    """Read maps that another program decoded, and write them as those of fpplab."""
     from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.phase.phase_maps import PhaseMapSource, import_phase_maps
 

@@ -101,7 +101,6 @@ def optimise_command(
 
 
 def _study_with_overrides(study: Study, calibration: Path | None, seeds: int | None) -> Study:
-    """The study with what the command says instead. Raises `ConfigError`, `CalibrationError`."""
     from fpplab.calibration.model import Calibration
     from fpplab.optimisation.problem import CalibrationAt
 

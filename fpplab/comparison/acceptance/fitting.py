@@ -31,7 +31,6 @@ class Sphere:
     radius: float  # in mm
 
     def distances(self, points: Floats) -> Floats:
-        """Compute radial distances from the surface."""
         # points (N, 3) mm; returns (N,) mm
         return np.asarray(np.linalg.norm(points - self.centre, axis=1) - self.radius)
 
@@ -44,7 +43,6 @@ class Plane:
     normal: Floats  # unit normal (3,), towards the origin
 
     def distances(self, points: Floats) -> Floats:
-        """Compute distances along the normal."""
         # points (N, 3) mm; returns (N,) mm
         return np.asarray((points - self.point) @ self.normal)
 

@@ -59,7 +59,6 @@ class MeasuredFeature:
         return 1e3 * float(np.sqrt(np.mean(self.distances[self.kept] ** 2)))
 
     def summary(self) -> dict[str, Any]:
-        """Collect counts and the root mean square, which shows how much of a span is noise."""
         return {"rms_um": self.rms_um, "points": len(self.points), "discarded": int((~self.kept).sum())}
 
 
@@ -84,7 +83,6 @@ class SphereTest:
         return 1e3 * (2.0 * self.sphere.radius - self.calibrated_mm)
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures of this sphere."""
         return {
             "sphere": self.number,
             "PF_um": self.form_um,
@@ -132,7 +130,6 @@ class PlaneTest:
         return self.measured.span_um
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures of this plane."""
         return {
             "source": self.source,
             "F_um": self.flatness_um,
@@ -182,7 +179,6 @@ class Acceptance:
     planes: tuple[PlaneTest, ...] = ()  # one per position of the plane
 
     def errors_um(self) -> dict[str, list[float]]:
-        """Collect every value of every quantity that was measured."""
         spheres = [test for bar in self.bars for test in bar.spheres]
         values = {
             "PF": [test.form_um for test in spheres],
@@ -193,7 +189,6 @@ class Acceptance:
         return {name: values[name] for name in QUANTITIES if values[name]}
 
     def judgements(self) -> dict[str, AcceptanceJudgement]:
-        """Judge every quantity that was measured."""
         standard, with_all = self.standard, self._form_of_all_points_um()
         return {
             name: AcceptanceJudgement(
@@ -219,7 +214,6 @@ class Acceptance:
         return all(judged) if judged else None
 
     def notices(self) -> list[str]:
-        """List what limits the significance of the result."""
         judged = self.judgements()
         notices = [
             f"{name}: measured in {judgement.positions} of at least {judgement.min_positions} positions; "
@@ -233,7 +227,6 @@ class Acceptance:
         return notices
 
     def summary(self) -> dict[str, Any]:
-        """Collect the whole result for `fpplab verify --json`."""
         return {
             "standard": self.standard.name,
             "passed": self.passed,

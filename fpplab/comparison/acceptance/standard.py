@@ -167,11 +167,9 @@ class Standard(Document):
 
     @classmethod
     def load(cls, name: str | Path) -> Standard:
-        """Read a file of standards."""
         return config.load_document(config.find_config(name, "standard"), cls, "standard")
 
     def permitted_um(self, quantity: str) -> float | None:
-        """Look up the maximum permissible error (MPE) of a quantity."""
         return getattr(self.mpe_um, quantity)  # type: ignore[no-any-return]
 
     def reference_uncertainty_um(self, quantity: str) -> float:
@@ -183,12 +181,10 @@ class Standard(Document):
         return float(getattr(bar, fields[quantity])) if bar else 0.0
 
     def with_mpe(self, assignments: Iterable[str]) -> Standard:
-        """Replace maximum permissible errors."""
         limits = self.mpe_um.model_dump() | _by_quantity(assignments, "--mpe", "PF=50", float)
         return config.validate({**config.plain(self), "mpe_um": limits}, Standard, "--mpe")
 
     def with_positions(self, assignments: Iterable[str]) -> Standard:
-        """Replace least numbers of positions."""
         numbers = self.positions.model_dump() | _by_quantity(assignments, "--positions", "SD=5", int)
         return config.validate({**config.plain(self), "positions": numbers}, Standard, "--positions")
 

@@ -19,7 +19,6 @@ class Bayesian(SearchMethod):
     """Candidates that are proposed and measured together."""
 
     def search(self, runner: CandidateRunner) -> str:
-        """Search until the budget is used up, or the sampler proposes nothing new."""
         # Imported here because optuna is slow to import, and studies are read without searching.
         import optuna
 

@@ -31,7 +31,6 @@ class Nsga2(SearchMethod):
     """Generations without a change of the front after which evolution ends. Chosen."""
 
     def search(self, runner: CandidateRunner) -> str:
-        """Search until the Pareto front no longer changes, then refine it."""
         # Imported here because optuna is slow to import, and studies are read without searching.
         import optuna
 

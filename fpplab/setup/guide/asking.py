@@ -26,7 +26,6 @@ Bring = Callable[[WantedPose, Path], None]  # brings the board into the pose ask
 
 
 def bring_by(fixture: Fixture, item: str) -> Bring:
-    """Choose how the fixture is instructed."""
     if isinstance(fixture, PosableFixture):
         return lambda pose, _: _place(fixture, item, pose)
     if isinstance(fixture, InstructableFixture):
@@ -56,7 +55,6 @@ def _place(fixture: PosableFixture, item: str, pose: WantedPose) -> None:
 def write_sketch(
     path: Path, pose: WantedPose, size: ImageSize, image: NDArray[Any] | None = None, width_px: int = 960
 ) -> None:
-    """Draw the pose that is asked for over the last image."""
     # size (width, height) px; image (height, width)
     scale = width_px / size[0]
     picture = np.full((round(scale * size[1]), width_px, 3), 40, np.uint8)

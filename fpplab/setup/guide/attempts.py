@@ -28,11 +28,9 @@ class PoseAttempt:
     accepted: bool  # whether it counts
 
     def rejected_later(self, finding: Finding) -> PoseAttempt:
-        """Take the acceptance back."""
         return replace(self, accepted=False, findings=(finding, *self.findings))
 
     def summary(self) -> dict[str, Any]:
-        """Collect what is printed."""
         fit = self.fit
         predicted = (
             {"camera": fit.camera.predicted_px, "projector": fit.projector.predicted_px} if fit else {}
@@ -68,7 +66,6 @@ class GuidedRun:
 
     @property
     def sentence(self) -> str:
-        """The uncertainty that was reached, compared with what was asked for."""
         near, far = self.depth_mm
         reached = (
             f"standard uncertainty of form by the calibration, from {near:.0f} to {far:.0f} mm: "
@@ -81,7 +78,6 @@ class GuidedRun:
         return f"{reached}; {asked}: give the same command with more --poses, which keeps those taken"
 
     def summary(self) -> dict[str, Any]:
-        """Collect what is printed."""
         return {
             "form_um": in_um(self.form_mm),
             "scale_um": in_um(self.scale_mm),
@@ -93,7 +89,6 @@ class GuidedRun:
 
 
 def in_um(length_mm: float | None) -> float | None:
-    """Convert a length that may be unknown."""
     return None if length_mm is None else 1e3 * length_mm
 
 
@@ -111,7 +106,6 @@ def accepted_sentence(number: int, attempt: PoseAttempt, until_mm: float | None)
 
 
 def rejected_sentence(number: int, attempt: PoseAttempt) -> str:
-    """Describe a pose that does not count, and what to do."""
     worst, *others = attempt.findings
     more = f" (and {others[0].sentence})" if others else ""
     return f"pose {number} rejected: {worst.sentence}{more}; {worst.remedy}"

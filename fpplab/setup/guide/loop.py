@@ -272,7 +272,6 @@ class _PoseGuideLoop:
         return list(self._sessions.values())[-1].recording(verify=False).mean_image()
 
     def _free_number(self) -> int:
-        """Of the first pose that does not count yet."""
         return next(
             k for k in range(len(self._sessions) + 1) if self._pose_folder(k).name not in self._sessions
         )

@@ -40,7 +40,6 @@ def unseen_board(reason: str, findings: tuple[Finding, ...]) -> tuple[Finding, .
 
 
 def inconsistent_pose(reason: str) -> Finding:
-    """Name a pose that turned out inconsistent with the others."""
     return Finding(POSE_MISFIT, reason, 1.0)
 
 

@@ -91,7 +91,6 @@ def advise_by_coverage(
     camera_size: tuple[int, int],
     projector_size: tuple[int, int],
 ) -> tuple[str, ...]:
-    """List what the poses so far lack."""
     # camera_size, projector_size (width, height) px
     if not observations:
         return ("hold the board upright in the middle, and take the first pose",)

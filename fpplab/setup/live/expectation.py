@@ -61,11 +61,9 @@ class RigGeometry:
         return float(distance_mm)
 
     def overlap(self, distance_mm: float) -> float:
-        """Compute which share of the camera's image the projector lights."""
         return float(self._pixels_lit_at(distance_mm).mean())
 
     def outline(self, distance_mm: float) -> Floats:
-        """Draw the part of a plane that both devices see."""
         # returns (K, 3) mm
         points = (self.rays * distance_mm)[self._pixels_lit_at(distance_mm)]
         if len(points) < 3:
@@ -149,7 +147,6 @@ class WorkingPoint:
         return position, form
 
     def summary(self) -> dict[str, object]:
-        """Collect what geometry alone determines."""
         position, form = self.calibration_um or (None, None)
         return {
             "distance_mm": self.distance_mm,

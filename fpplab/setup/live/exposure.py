@@ -60,7 +60,6 @@ class ExposureLimits:
 
     @classmethod
     def by_devices(cls, camera: CameraCaps, projector: ProjectorCaps, plan: Plan) -> ExposureLimits:
-        """Find the exposures and gains that a plan may have on a rig."""
         shortest_s, longest_s = camera.exposure_s
         if plan.trigger == "stepped":
             return cls((shortest_s, longest_s), camera.gain_db, projector.period_s)
@@ -83,7 +82,6 @@ class ExposureLimits:
         return self.period_s * max(1, math.floor(exposure_s / self.period_s + GOALS.grid_tolerance))
 
     def stepped(self, exposure_s: float, factor: float) -> float:
-        """Give the next exposure that is longer or shorter."""
         stepped_s = exposure_s * factor
         if self.period_s <= 0:
             return stepped_s
@@ -126,7 +124,6 @@ def levels_of_fringes(sample: FrameSample, black: float = 0.0) -> LightLevels | 
 
 
 def levels_of_image(image: Image, bits: int, black: float = 0.0) -> LightLevels:
-    """Measure the light of one image of a bright pattern."""
     # image (height, width)
     levels: NDArray[np.floating[Any]] = image[::2, ::2].astype(np.float32) / full_scale(bits)
     lit = levels[levels >= SampleLimits().min_lit_share * np.percentile(levels, 99.9)]

@@ -31,7 +31,6 @@ UNKNOWN = FocusMeasure(np.full(REGIONS, np.nan), None)  # where nothing can be m
 def camera_sharpness(
     first_image: NDArray[np.floating[Any]], second_image: NDArray[np.floating[Any]]
 ) -> FocusMeasure:
-    """Measure the sharpness of the camera's image."""
     # one, other (height, width)
     by_region = np.full(REGIONS, np.nan)
     powers, levels = 0.0, 0.0

@@ -127,7 +127,6 @@ class LiveSetUp:
         return tuple(self._coverage.sessions) if self._coverage else ()
 
     def run(self, turn: RigTurn) -> LiveStatus:
-        """Show frames until the operator ends it."""
         # Devices are open only while it is this command's turn; closing them leaves the projector dark.
         if self._options.seconds is not None:
             self._end_s = time.monotonic() + self._options.seconds

@@ -26,13 +26,11 @@ class MarksInView:
 
     @property
     def line(self) -> str:
-        """The state in a few words."""
         moved = "" if self.moved_px is None else f", moved by {self.moved_px:.2f} px"
         return f"marks {self.points} of {self.located} points{moved}"
 
 
 def marks_in_view(image: NDArray[Any], calibration: Calibration) -> MarksInView | None:
-    """Look for a calibration's marks; None where it has none."""
     if (marks := calibration.marks) is None:
         return None
     seen = config.validate(marks.target, Target, "the calibration's marks").detect(image)

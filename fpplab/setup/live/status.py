@@ -47,7 +47,6 @@ class LiveStatus:
     pauses: int = 0  # how many times another command had the rig
 
     def summary(self) -> dict[str, object]:
-        """Collect what is shown, as plain values."""
         noise = None if self.noise_um is None else overall_median(self.noise_um)
         expected = None if self.geometry is None else {**self.geometry, "noise_um": noise}
         return {

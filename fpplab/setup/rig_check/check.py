@@ -92,7 +92,6 @@ def check_rig(
     calibration: Calibration | None = None,
     folder: Path | None = None,
 ) -> RigCheck:
-    """Open a rig, show it the marker and then fringes, and report what is wrong."""
     # What a device raises is a finding too.
     marker_inspection, fringes = MarkerInspection(plan), _FringeInspection(plan, calibration)
     failed: list[Finding] = []
@@ -150,7 +149,6 @@ def _plan_timing(rig: Rig, plan: Plan) -> PulseTiming | None:
 
 
 def _of_transport(rig: Rig, plan: Plan, timing: PulseTiming | None, folder: Path | None) -> list[Finding]:
-    """Whether frames come and are written as fast as the plan takes them."""
     settings = rig.camera.configure(rig.camera_settings(plan.exposure_s, plan.bits))
     caps = rig.camera.caps
     period_s = timing.period_s if timing else settings.exposure_s + caps.readout_s
@@ -164,7 +162,6 @@ def _of_transport(rig: Rig, plan: Plan, timing: PulseTiming | None, folder: Path
 
 
 def _rank_findings(findings: list[Finding]) -> tuple[Finding, ...]:
-    """The worst first, each cause once."""
     first: dict[FaultCause, Finding] = {}
     for finding in sorted(findings, key=lambda finding: -finding.excess):
         first.setdefault(finding.cause, finding)
@@ -189,7 +186,6 @@ class _FringeInspection:
         self.cloud: Cloud | None = None
 
     def at(self, rig: Rig, plan: Plan | None, progress: Progress) -> None:
-        """Take the fringes of a plan, and further ones where the projector can show them."""
         if plan is None:
             self.unknown.append("light, focus and geometry: the frames do not show their own patterns")
             return

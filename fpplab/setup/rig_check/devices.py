@@ -54,7 +54,6 @@ LIMITS = DeviceCheckLimits()
 
 
 def device_finding(error: DeviceError) -> Finding:
-    """Say what a device's error means."""
     evidence = f"{error.device}: {error.operation}: {error.found} ({type(error).__name__})"
     if isinstance(error.__cause__, PermissionError) or REFUSED.search(error.found):
         return Finding(NO_PERMISSION, evidence, DECISIVE_EXCESS)
@@ -62,7 +61,6 @@ def device_finding(error: DeviceError) -> Finding:
 
 
 def link_finding(info: DeviceInfo, frame_bytes: float, period_s: float) -> Finding | None:
-    """Compare what a camera's connection carries with what a plan takes."""
     stated = SPEED.search(info.link)
     if stated is None:
         return None

@@ -132,7 +132,6 @@ class MarkerInspection:
         self._of_stepped: list[Finding] = []
 
     def at(self, rig: Rig, progress: Progress) -> None:
-        """Show the marker, stepped and where the rig can triggered."""
         shown = marker()
         stepped = self._plan.model_copy(update={"trigger": "stepped"})
         self.runs.append(run := _show_marker_once(rig, stepped, shown))

@@ -182,7 +182,6 @@ class _Steps:
 def check_steps(
     rig: Rig, plan: Plan, item: str, progress: Progress, tell: Callable[[CheckedStep], None]
 ) -> list[CheckedStep]:
-    """Check a rig step by step: link, lamp, one pulse, ten pulses, rate, exposure, focus."""
     # Without light or without a first pulse, the steps that need it are left out. A rig without a trigger has
     # no steps of pulses.
     done: list[CheckedStep] = []

@@ -31,7 +31,6 @@ class CharucoLayout(SquareLayout):
     shows_mirroring: ClassVar[bool] = True
 
     def check(self) -> None:
-        """Check the board; see `BoardLayout.check`."""
         self.check_pitch()
         if self.marker_mm >= self.spacing_mm[0]:
             raise ValueError(f"'marker_mm' must be less than the square of {self.spacing_mm[0]:g} mm")
@@ -42,17 +41,14 @@ class CharucoLayout(SquareLayout):
 
     @property
     def symmetric(self) -> bool:
-        """Whether the board looks the same after half a turn; its markers never do."""
         return False
 
     def model(self) -> cv2.aruco.CharucoBoard:
-        """Make OpenCV's model of the board."""
         squares = (self.counts[0] + 1, self.counts[1] + 1)
         dictionary = load_dictionary(self.dictionary)
         return cv2.aruco.CharucoBoard(squares, self.spacing_mm[0], self.marker_mm, dictionary)
 
     def shapes(self) -> Iterator[InkShape]:
-        """Draw the squares and the dark modules of the markers."""
         yield from super().shapes()
         board = self.model()
         for corners, marker in zip(np.array(board.getObjPoints()), np.array(board.getIds()), strict=True):
@@ -60,7 +56,6 @@ class CharucoLayout(SquareLayout):
             yield from draw_marker(board.getDictionary(), int(marker), left, top, self.marker_mm)
 
     def summary(self) -> str:
-        """Describe the board for the legend of a printed page."""
         columns, rows = self.counts
         return (
             f"ChArUco board of {columns} x {rows} inner corners, squares of {self.spacing_mm[0]:g} mm, "
@@ -68,11 +63,9 @@ class CharucoLayout(SquareLayout):
         )
 
     def point_model(self) -> PointModel:
-        """Return the model of a corner."""
         return crossing_edges(0.8 * (0.5 * (self.spacing_mm[0] - self.marker_mm)))
 
     def find(self, grey: NDArray[np.uint8], level: Floats) -> Detection | None:
-        """Find as much of the board as is in the image."""
         # grey (height, width)
         pixels, ids, _, _ = cv2.aruco.CharucoDetector(self.model()).detectBoard(grey)
         if ids is None or len(ids) < LIMITS.min_points:

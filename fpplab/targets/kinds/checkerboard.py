@@ -23,18 +23,15 @@ class Checkerboard(SquareLayout):
     """A checkerboard; it is detected as a whole, or in part where its edge shows which part."""
 
     def check(self) -> None:
-        """Check the board; see `BoardLayout.check`."""
         self.check_counts_without_markers()
         self.check_pitch()
         super().check()
 
     @property
     def symmetric(self) -> bool:
-        """Whether the board looks the same after half a turn."""
         return sum(self.counts) % 2 == 0
 
     def summary(self) -> str:
-        """Describe the board for the legend of a printed page."""
         columns, rows = self.counts
         return f"checkerboard of {columns} x {rows} inner corners, squares of {self.spacing_mm[0]:g} mm"
 
@@ -42,7 +39,6 @@ class Checkerboard(SquareLayout):
         return crossing_edges(0.8 * 0.5 * self.spacing_mm[0])
 
     def polarity(self, row: int, column: int) -> int:
-        """Distinguish a corner from its negative, which has dark and bright squares exchanged."""
         sign = super().polarity(row, column)
         return sign if (row + column) % 2 == 0 else -sign
 

@@ -31,7 +31,6 @@ class CircleGrid(BoardLayout):
     """Diameter of the circles in mm."""
 
     def check(self) -> None:
-        """Check the board; see `BoardLayout.check`."""
         self.check_counts_without_markers()
         super().check()
         gaps = np.linalg.norm(self.points()[:, None] - self.points()[None], axis=-1)
@@ -42,7 +41,6 @@ class CircleGrid(BoardLayout):
             )
 
     def offsets(self, column: Floats, row: Floats) -> Floats:
-        """Place columns and rows of the grid; see `BoardLayout.offsets`."""
         # returns (..., 2) mm
         placed = super().offsets(column, row)
         if self.staggered:
@@ -50,7 +48,6 @@ class CircleGrid(BoardLayout):
         return placed
 
     def lattice(self) -> PointLattice:
-        """Describe the points as places of a lattice."""
         if not self.staggered:
             return super().lattice()
         columns, rows = self.counts
@@ -60,21 +57,17 @@ class CircleGrid(BoardLayout):
 
     @property
     def symmetric(self) -> bool:
-        """Whether the board looks the same after half a turn."""
         return not self.staggered or self.counts[0] % 2 == 0
 
     def reach(self) -> Floats:
-        """Compute how far the circles extend beyond their centres, with the rim that they need."""
         # returns (2,) mm
         return np.full(2, (0.5 + LIMITS.circle_rim) * self.diameter_mm)
 
     def shapes(self) -> Iterator[InkShape]:
-        """Draw the circles."""
         for x, y in self.points()[:, :2]:
             yield InkDisc(x, y, self.diameter_mm / 2)
 
     def summary(self) -> str:
-        """Describe the board for the legend of a printed page."""
         (columns, rows), (x, y) = self.counts, self.spacing_mm
         return (
             f"{columns} x {rows} circles of {self.diameter_mm:g} mm, "
@@ -82,12 +75,10 @@ class CircleGrid(BoardLayout):
         )
 
     def point_model(self) -> PointModel:
-        """Return the model of a circle."""
         radius = self.diameter_mm / 2
         return disc(radius, radius + 0.8 * self._clear_rim())
 
     def find(self, grey: NDArray[np.uint8], level: Floats) -> Detection | None:
-        """Find the whole board."""
         # grey (height, width)
         detector = self._blob_detector(grey)
         columns, rows = self.counts
@@ -101,13 +92,11 @@ class CircleGrid(BoardLayout):
         return None
 
     def find_patch(self, grey: NDArray[np.uint8]) -> GridPatch | None:
-        """Find the largest lattice that dark or bright blobs form."""
         # grey (height, width)
         blobs = self._blob_detector(grey).detect(grey)
         return patch_of_blobs(np.array([blob.pt for blob in blobs], np.float64).reshape(-1, 2))
 
     def corrected(self, located: Detection) -> Detection:
-        """Compute the images of the circles' centres from the centres of their ellipses."""
         centres = located
         for _ in range(2):  # the homography is first that of the ellipses' centres, then the corrected one
             circles, matrix = self.points()[centres.ids, :2], homography(self, centres)

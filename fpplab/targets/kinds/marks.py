@@ -41,7 +41,6 @@ class ReferenceMarks(BoardLayout):
     shows_mirroring: ClassVar[bool] = True
 
     def check(self) -> None:
-        """Check the marks; see `BoardLayout.check`."""
         if self.counts[0] % 2 or self.counts[1] % 2:
             raise ValueError(f"'counts' is {list(self.counts)}: must be even, two by two circles are a mark")
         if (marks := len(self.circles())) > (available := markers_in(self.dictionary)):
@@ -55,16 +54,13 @@ class ReferenceMarks(BoardLayout):
 
     @property
     def symmetric(self) -> bool:
-        """Whether the board looks the same after half a turn; its markers never do."""
         return False
 
     def reach(self) -> Floats:
-        """Compute how far the circles extend beyond their centres, with the rim that they need."""
         # returns (2,) mm
         return np.full(2, (0.5 + LIMITS.circle_rim) * self.diameter_mm)
 
     def shapes(self) -> Iterator[InkShape]:
-        """Draw the circles and the markers."""
         points, dictionary = self.points()[:, :2], load_dictionary(self.dictionary)
         for x, y in points:
             yield InkDisc(x, y, self.diameter_mm / 2)
@@ -73,19 +69,16 @@ class ReferenceMarks(BoardLayout):
             yield from draw_marker(dictionary, marker, left, top, self.marker_mm)
 
     def summary(self) -> str:
-        """Describe the marks for the legend of a printed page."""
         return (
             f"{len(self.circles())} reference marks of four circles of {self.diameter_mm:g} mm, markers of "
             f"{self.marker_mm:g} mm, dictionary {self.dictionary}; may be cut apart, never reprinted in place"
         )
 
     def point_model(self) -> PointModel:
-        """Return the model of a circle."""
         radius = self.diameter_mm / 2
         return disc(radius, radius + 0.8 * (self._room() - radius))
 
     def find(self, grey: NDArray[np.uint8], level: Floats) -> Detection | None:
-        """Find every mark of which the image shows all circles."""
         # grey (height, width)
         detector = cv2.aruco.ArucoDetector(load_dictionary(self.dictionary))
         corners, markers, _ = detector.detectMarkers(grey if self.background > self.foreground else ~grey)
@@ -104,7 +97,6 @@ class ReferenceMarks(BoardLayout):
         return Detection(np.concatenate(ids), np.concatenate(pixels)) if ids else None
 
     def frames(self, located: Detection) -> Floats:
-        """Compute the Jacobian of the image by each mark; see `BoardLayout.frames`."""
         frames = np.full((len(located.ids), 2, 2), np.nan)
         for rows, matrix in self._seen_marks(located):
             frames[rows] = local_frames(matrix, self.points()[located.ids[rows], :2])
