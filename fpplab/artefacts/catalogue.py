@@ -39,10 +39,8 @@ def artefact_types() -> dict[str, type[Artefact]]:
 
 
 NAMES = tuple(name for name, shape in artefact_types().items() if not shape.is_standard)
-"""Names of the artefacts, which measured clouds are compared with."""
 
 STANDARDS = tuple(name for name, shape in artefact_types().items() if shape.is_standard)
-"""Names of the standards, which an acceptance test measures."""
 
 
 def make(name: str, sizes: Mapping[str, Lengths] | None = None) -> trimesh.Trimesh:

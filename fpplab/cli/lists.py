@@ -38,7 +38,6 @@ def repeat_option_per_path(arguments: Sequence[str]) -> list[str]:
 
 
 GLOBAL, GLOBAL_WITH_VALUE = ("--verbose", "-v", "--trace"), ("--log", "--allow", "--allow-backend")
-"""Options of the program itself, and those of them that are followed by a value."""
 
 
 def global_first(arguments: Sequence[str]) -> list[str]:

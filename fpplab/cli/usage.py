@@ -38,7 +38,6 @@ OPTIONS_OF_KIND = {
     STUDY: ("--study",),
     TARGET: ("--target",),
 }
-"""Options by the kinds of files that they take."""
 
 _PAIR = re.compile(r"(\d+(?:[.,]\d+)?)\s*(?:mm|px)?\s*[x×,;:*/…-]\s*(\d+(?:[.,]\d+)?)\s*(?:mm|px)?")
 _CHOICES = re.compile(r"'(.*?)' is not one of (.*)$", re.DOTALL)

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 CloudPoints = NDArray[np.float32]  # values of every point of a cloud, (N,) or (N, 3)
 
 SIGMAS = ("sigma_noise_mm", "sigma_phase_error_mm", "sigma_calibration_mm", "sigma_form_mm")
-"""Attributes of a cloud that are standard uncertainties."""
 _AXES = ("x", "y", "z")
 _PLOTTED = ("colour", "sigma_mm", *SIGMAS, "epipolar_px")  # attributes of one value for each point
 

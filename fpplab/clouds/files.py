@@ -33,7 +33,6 @@ _log = logging.getLogger(__name__)
 CLOUD_SUFFIXES = (".ply", ".xyz", ".npz")  # of files that `load_cloud` reads and `save_cloud` writes
 TEXT_SUFFIXES = (".xyz", ".csv", ".txt", ".pts", ".asc")  # of tables of points, which `load_cloud` reads
 READ_SUFFIXES = tuple(dict.fromkeys((*CLOUD_SUFFIXES, *TEXT_SUFFIXES)))
-"""Of all files that `load_cloud` reads."""
 MESH_SUFFIXES = (".stl", ".ply", ".obj")  # of files that `load_mesh` reads
 MIN_SIZE_MM = 1.0
 """Size below which a cloud or a mesh seems to be in another unit. Chosen: parts are of 1 mm to 2 m."""

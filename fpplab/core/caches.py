@@ -12,7 +12,6 @@ from fpplab.core.files import writing
 from fpplab.core.system import cache_directory
 
 CONTENTS = {"light": "rendered light of simulated scenes; the next scan of a scene renders it again"}
-"""What each folder of the cache directory holds."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ def _rising(depth_mm: DepthInterval) -> DepthInterval:
 
 
 DepthField = Annotated[tuple[_Distance, _Distance], AfterValidator(_rising)]
-"""Type of a document's field that holds such a range."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ EXTRAS = {
     "files": ("pye57", "laspy", "lxml"),
     "optimise": ("optuna", "distributed", "dask"),
 }
-"""Modules that each extra of pyproject.toml brings."""
 
 
 class MissingExtraError(ConfigError):

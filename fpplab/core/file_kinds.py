@@ -20,7 +20,6 @@ WantedKind = Literal[
     "calibration", "cloud", "dataset", "foreign calibration", "limits", "maps", "mesh", "plan", "points",
     "response", "rig", "session", "standard", "study", "tables", "target", "world",
 ]  # fmt: skip
-"""What a command may need of a file or folder."""
 
 _HEAD_BYTES = 1 << 18  # how much of a file is looked at (chosen): files of settings are smaller
 
@@ -85,7 +84,6 @@ _BY_KEYS: tuple[tuple[str, str], ...] = (
     (LIMITS, "plan_check"),
     (LIMITS, "max_residual_sigmas"),
 )
-"""Kinds of YAML files by keys that stand in each of them."""
 _IN_TEXT: tuple[tuple[str, str], ...] = (
     (CALIBRATION, r"^camera:\s.*\bfocal_px\b"),
     (RIG, r"^(camera|projector):\s.*\bbackend\b"),

@@ -253,7 +253,6 @@ def read_mrcal(content: bytes) -> Parts:
 
 
 CALIBRATIONS = {"opencv": read_opencv, "mat": read_mat, "mrcal": read_mrcal}
-"""Readers of calibrations by the kind of file; all other kinds are meshes."""
 
 
 if __name__ == "__main__":

@@ -28,7 +28,6 @@ def host_facts() -> dict[str, Any]:
 
 def extra_by_package() -> dict[str, str]:
     """Map each package that fpplab asks for to its extra; empty where it is always needed."""
-    # None where it runs without being installed.
     try:
         lines = metadata.requires("fpplab") or []
     except metadata.PackageNotFoundError:

@@ -13,10 +13,8 @@ DECODED, CLOUD, CALIBRATION, REPORT, VERDICT = (
     "report.html",
     "verdict.yaml",
 )
-"""The results."""
 RECORDING = "view.rrd"  # what the viewer showed, in any folder of results
 SESSION_FILES = frozenset(
     (PLAN, RIG, ORIGIN, FORMAT, LOG, JOURNAL, CHECKSUMS)
     + (DECODED, CLOUD, CALIBRATION, REPORT, VERDICT, RECORDING)
 )
-"""Every file that fpplab writes into a session, other than the frames."""

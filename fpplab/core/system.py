@@ -17,7 +17,6 @@ BLENDER = {
     "libxkbcommon.so.0": "libxkbcommon0",
     "libGL.so.1": "libgl1",
 }
-"""Debian packages of the libraries that Blender's module links to."""
 
 USB = {"libusb-1.0.so.0": "libusb-1.0-0"}  # debian packages of the libraries that pyusb and hidapi use
 

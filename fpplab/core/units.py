@@ -33,7 +33,6 @@ def length_mm(text: str, option: str) -> float:
 
 
 SECONDS = {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
-"""Units of time in s."""
 _PLAIN_UNITS = ("°", "deg", "px", "Hz", "bit", "bits", "dB")
 _NUMBER_AND_UNIT = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)(?:/(\d+))?\s*([^\W\d]*|°|%)", re.IGNORECASE)
 

@@ -22,7 +22,6 @@ from fpplab.core.plugins import BACKENDS
 _log = logging.getLogger(__name__)
 
 IN_WHEELS = {"drivers": "fpplab_drivers", "sim": "fpplab_sim"}
-"""Names of the sibling packages in a checkout, and their names in a wheel."""
 ALLOWED = "FPPLAB_ALLOW_BACKEND"
 """The environment variable that names further modules or packages, with commas between them."""
 
@@ -44,7 +43,6 @@ _MEANT = {
     "operator": "manual hand person human",
     "video_camera": "webcam uvc opencv v4l v4l2 usb cv2",
 }
-"""Backends by other words for them."""
 
 
 @runtime_checkable

@@ -6,7 +6,6 @@ from enum import StrEnum
 from typing import Literal
 
 ParameterGroup = Literal["steps", "stripes", "geometry", "light"]
-"""Groups of search parameters: phase steps, stripe counts, geometry of the rig, exposure."""
 
 
 class SearchScope(StrEnum):

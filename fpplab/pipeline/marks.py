@@ -40,10 +40,8 @@ DEPTH_MARGIN = 0.05
 """How far marks may have moved, as a share of their depth, where fringe orders follow from it. Chosen."""
 
 CONFIRM = "take a pose of the board, and 'fpplab characterise --judge CALIBRATION POSE --confirm'"
-"""What settles an old calibration."""
 
 CORRECT = "correct the calibration by the marks: 'fpplab characterise --correct CALIBRATION SCAN --out NEW'"
-"""What settles a change that marks show."""
 
 
 @dataclass(frozen=True)

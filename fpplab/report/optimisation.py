@@ -27,9 +27,7 @@ from fpplab.results.search import MeasuredArtefact, OptimisationResult
 DISTANCE = "mean distance to the surface, µm"  # label of the axes
 GREY = "#9aa1a9"
 PLAN_COLUMNS = ("Plan", "Stripes", "Steps", "Stage in mm")
-"""Columns of the summary before those of the objectives."""
 OTHER_COLUMNS = ("Surface SMCD in µm, other seeds", "SMCD (floor) in µm", "Wrong orders", "Filtered")
-"""Columns of the summary after those of the objectives."""
 CONFIRMED = (
     "Plan",
     "Images",

@@ -48,7 +48,6 @@ LABELS = {
     "judged": "Verdict given",
     "written": "Report written",
 }
-"""What each key of a provenance is called on a page, in its order."""
 
 
 @dataclass(frozen=True)

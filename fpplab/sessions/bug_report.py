@@ -39,7 +39,6 @@ SMALL = {
     CALIBRATION: "calibration",
     VERDICT: "verdict and findings",
 }
-"""What is taken of a session."""
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,7 @@ BITS_PER_SAMPLE, PHOTOMETRIC, PLANAR_CONFIGURATION, SAMPLE_FORMAT = 258, 262, 28
 NEW_SUBFILE_TYPE, SUB_IFDS, DNG_VERSION = 254, 330, 50706
 WHITE_IS_ZERO, SEPARATE_PLANES = 0, 2
 NUMBERS = {2: "signed integers", 3: "floating-point numbers", 5: "complex integers", 6: "complex numbers"}
-"""Kinds of numbers in TIFF files that are not levels."""
 CONTENTS = {"1": "1-bit pixels", "I": "32-bit integers", "CMYK": "inks (CMYK)", "P": "a palette of colours"}
-"""What pictures hold, by Pillow's name."""
 
 
 class PictureFile:

@@ -20,7 +20,6 @@ from fpplab.targets.drawing import InkDisc, InkShape
 from fpplab.targets.target import Target
 
 PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4)}
-"""Sizes of paper (width, height) in mm, upright."""
 _KNOWN = {name.lower(): size for name, size in PAPERS.items()}
 
 MM_PER_INCH = 25.4  # by definition

@@ -37,9 +37,7 @@ MAX_BYTES, FIRST_MESSAGES = 1 << 30, 200
 """Bytes of a growing recording that are kept for pages opened later, and how many of its first messages are
 among them in any case (chosen)."""
 OWN_FILES = {"": "page.html", "page.css": "page.css", "page.js": "page.js"}
-"""Files of the page that are fpplab's."""
 RERUN_FILES = ("re_viewer.js", "re_viewer_bg.wasm", "favicon.svg")
-"""Files of the page that rerun's program contains."""
 RECORDING = "recording.rrd"
 CONTENT_TYPES = {
     ".html": "text/html",
@@ -60,7 +58,6 @@ POLICY = "; ".join(
         f"frame-ancestors http://{LOCAL}:*",  # the page of the set-up
     )
 )
-"""What the page may load and connect to."""
 HEADERS = {
     "Content-Security-Policy": POLICY,
     "Cross-Origin-Resource-Policy": "same-origin",

@@ -37,7 +37,6 @@ CURVES = {
     "light/peak": ("peak", (122, 171, 89)),
     "light/saturated": ("saturated pixels", (200, 84, 110)),
 }
-"""By entity: the curve's name and RGB; in percent."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,8 +37,6 @@ def view_session(
     progress: Progress = no_progress,
 ) -> str:
     """Show a recorded session with the results that are saved in it; a window or page stays until closed."""
-    # A file is complete on return. A window or page is announced, and stays until it is closed or Ctrl-C is
-    # pressed.
     if isinstance(to, Path):
         to.parent.mkdir(parents=True, exist_ok=True)
         with Canvas(file=to) as canvas:

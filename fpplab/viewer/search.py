@@ -18,7 +18,6 @@ CURVES = {
     "completeness": "completeness",
     "wrong_orders": "share of wrong orders",
 }
-"""Figures of the best candidate that are curves, and their names."""
 
 
 class SearchView(CommandView):

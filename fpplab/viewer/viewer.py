@@ -123,7 +123,6 @@ class Viewer(Generic[V]):
 
     def close(self, abort: bool = False) -> None:
         """End the process once the queue is drawn and the recording written, or with `abort` at once."""
-        # May be called again.
         self._closing = True
         self._outbox.end(discard=abort)
         sent = self._thread is None or self._waited_for(_wait_for_thread(self._thread), abort)

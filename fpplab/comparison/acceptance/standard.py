@@ -25,7 +25,6 @@ QUANTITIES = {
     "SD": "Sphere-spacing error",
     "F": "Flatness measurement error",
 }
-"""The quantities of an acceptance test by symbol, as VDI/VDE 2634 part 2 names them."""
 
 
 class BallBarStandard(Document):

@@ -219,8 +219,6 @@ class LiveSetUp:
         if not self._observe(self.status, frame, pattern, dark):
             self._over = True
 
-    # --- exposure
-
     def _advise_exposure(self) -> None:
         """Compute the advice, and follow it further where the operator has taken it."""
         levels, settings = self._measures.levels, self._settings
@@ -251,8 +249,6 @@ class LiveSetUp:
         limits = "; ".join(self._advice.limits)
         self._advise_exposure()
         self._message = f"{self._message}; {limits}" if limits else self._message
-
-    # --- orders
 
     def _obey_order(self, order: Order, turn: RigTurn) -> None:
         assert self._settings is not None
@@ -302,8 +298,6 @@ class LiveSetUp:
     def _quit(self) -> None:
         self._over = True
 
-    # --- stage and fixture
-
     def _read_stage(self) -> None:
         stage = self._rig.stage
         self._stage = None if stage is None else StageState(stage.homed, stage.position_mm)
@@ -338,8 +332,6 @@ class LiveSetUp:
         self._pose += 1
         self._message = f"{item} in pose {self._pose}"
         self._begin_view()
-
-    # --- poses of the board
 
     def _take_pose(self, turn: RigTurn) -> None:
         folder = self._options.poses

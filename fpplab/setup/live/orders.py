@@ -51,7 +51,6 @@ WORDS = {
     Order.RESET: ("r", "forget the best focus"),
     Order.QUIT: ("q", "quit"),
 }
-"""Key and label of each order."""
 
 BY_KEY = {key: order for order, (key, _) in WORDS.items()}  # the order of each key
 

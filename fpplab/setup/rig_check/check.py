@@ -47,10 +47,8 @@ from fpplab.setup.rig_check.marker import marker
 from fpplab.setup.rig_check.marker_check import UNCERTAIN_EXCESS, MarkerInspection, MarkerRun, recover_camera
 
 UNSEEN_COLOUR = "the colour of the light, and which LED is off: a grey camera does not show them"
-"""What no frame shows."""
 
 WITHOUT_CALIBRATION = "small_angle, wrong_axis, stale_calibration, undersampled: give --calibration"
-"""What fringes alone do not show."""
 
 
 @dataclass(frozen=True, eq=False)

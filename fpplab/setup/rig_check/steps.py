@@ -31,7 +31,6 @@ LOST_PULSES = (
     "check the plugs of the trigger cable and the voltage at the camera's input: the camera had enough time "
     "for each pulse"
 )
-"""What to do where some pulses come, far apart, and others do not."""
 
 
 @dataclass(frozen=True)

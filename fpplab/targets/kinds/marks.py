@@ -20,7 +20,6 @@ from fpplab.targets.profiles import PointModel, disc
 from fpplab.targets.views import Detection, apply_homography, homography, local_frames
 
 CIRCLES = 4
-"""Circles of a mark."""
 
 
 class ReferenceMarks(BoardLayout):
