@@ -11,7 +11,7 @@ from typer.core import TyperGroup
 
 from fpplab.cli import logs
 from fpplab.cli.advice import unknown_command
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import config_option
 from fpplab.cli.lists import global_first
 from fpplab.core.confirmation import ConfirmationRequired, confirm_in_advance
 from fpplab.core.errors import Cancelled, ConfigError
@@ -205,13 +205,11 @@ SkippedImages = Annotated[
 ]
 RigName = Annotated[
     str,
-    typer.Option(
-        "--rig", help="Rig file, or the name of one that comes with fpplab.", autocompletion=names_of("rig")
-    ),
+    config_option("rig", "Rig file, or the name of one that comes with fpplab."),
 ]
 PlanName = Annotated[
     str,
-    typer.Option("--plan", help="Plan file: what to project and capture.", autocompletion=names_of("plan")),
+    config_option("plan", "Plan file: what to project and capture."),
 ]
 CalibrationOption = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]
 LimitsOption = Annotated[

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import typer
 
 if TYPE_CHECKING:
     from fpplab.core.config import ConfigKind
@@ -22,3 +24,8 @@ def names_of(kind: ConfigKind) -> Callable[[str], list[str]]:
         return [*shipped, *(str(path) for path in files)]
 
     return complete
+
+
+def config_option(kind: ConfigKind, help_text: str, flag: str = "") -> Any:
+    """Make an option, by default of the kind's own name, that takes a configuration of this kind."""
+    return typer.Option(flag or f"--{kind}", help=help_text, autocompletion=names_of(kind))

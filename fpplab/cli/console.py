@@ -41,8 +41,8 @@ class _Reporting(Console):
         raise  # noqa: PLE0704 - called where BrokenPipeError is handled
 
 
-stderr = _Reporting(stderr=True, highlight=False)
-stdout = _Reporting(highlight=False, soft_wrap=True)
+stderr = _Reporting(stderr=True, highlight=False, markup=False)
+stdout = _Reporting(highlight=False, soft_wrap=True, markup=False)
 
 _log = logging.getLogger(__name__)
 
@@ -52,7 +52,7 @@ def progress(description: str) -> Iterator[Progress]:
     """Show a progress bar on stderr while the work lasts; one line where stderr is no terminal."""
     start = time.perf_counter()
     try:
-        with _bar(description) as report:
+        with telling_progress(description) as (report, _):
             yield report
     finally:
         seconds = time.perf_counter() - start
@@ -60,20 +60,8 @@ def progress(description: str) -> Iterator[Progress]:
 
 
 @contextmanager
-def telling_progress(what: str) -> Iterator[tuple[Progress, Say]]:
-    """Show a progress bar as `progress` does, whose message changes with what is done."""
-    with _message_and_bar(what) as both:
-        yield both
-
-
-@contextmanager
-def _bar(what: str) -> Iterator[Progress]:
-    with _message_and_bar(what) as (report, _):
-        yield report
-
-
-@contextmanager
-def _message_and_bar(description: str) -> Iterator[tuple[Progress, Say]]:
+def telling_progress(description: str) -> Iterator[tuple[Progress, Say]]:
+    """Show a progress bar, or one line, whose message changes with what is done."""
     if not stderr.is_terminal:
         log_status(f"{description} …")
         yield no_progress, ignore
@@ -94,7 +82,7 @@ def _message_and_bar(description: str) -> Iterator[tuple[Progress, Say]]:
 def log_status(sentence: str) -> None:
     """Print one line to the operator on stderr, so that stdout stays a result."""
     with suppress(OSError):  # stderr may be closed: no reason to stop the work
-        stderr.print(sentence, soft_wrap=True, markup=False)
+        stderr.print(sentence, soft_wrap=True)
 
 
 def print_result(result: dict[str, Any], as_json: bool, show: Callable[[], None] | None = None) -> None:
@@ -111,7 +99,7 @@ def print_result(result: dict[str, Any], as_json: bool, show: Callable[[], None]
             if laid_out:
                 table(key, *laid_out)
             else:
-                stdout.print(f"{key}: {readable(value)}", markup=False)
+                stdout.print(f"{key}: {readable(value)}")
 
 
 def print_verdict_and_result(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from fpplab.core import plugins
 from fpplab.devices.device import DeviceInfo
 
 
@@ -36,8 +37,12 @@ class FoundDevices:
     devices: list[FoundDevice]
     missing: list[str]  # a sentence for all that keeps devices from being listed: a library, a permission
 
-    @classmethod
-    def together(cls, results: Iterable[FoundDevices]) -> FoundDevices:
-        """Join the results of several drivers, in the order in which they are to be listed."""
-        parts = list(results)
-        return cls([d for part in parts for d in part.devices], [m for part in parts for m in part.missing])
+
+def connected_devices() -> FoundDevices:
+    """Look for devices by all drivers that are installed, in the order in which they are to be listed."""
+    parts = [
+        plugins.load_plugin(plugins.DISCOVERY, name)() for name in plugins.plugin_names(plugins.DISCOVERY)
+    ]
+    return FoundDevices(
+        [d for part in parts for d in part.devices], [m for part in parts for m in part.missing]
+    )

@@ -61,9 +61,8 @@ def _show(folders: list[CacheFolder], title: str) -> None:
     from fpplab.core.units import readable_bytes
 
     if not folders:
-        console.stdout.print(f"{cache_directory()}: nothing is kept", markup=False)
+        console.stdout.print(f"{cache_directory()}: nothing is kept")
     for folder in folders:
         console.stdout.print(
-            f"{title}: {folder.path}: {readable_bytes(folder.bytes)} in {folder.files} files, {folder.holds}",
-            markup=False,
+            f"{title}: {folder.path}: {readable_bytes(folder.bytes)} in {folder.files} files, {folder.holds}"
         )

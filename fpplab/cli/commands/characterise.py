@@ -22,7 +22,7 @@ from fpplab.cli.app import (
     ProjectorSize,
     app,
 )
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import config_option
 from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_characterisation
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.lattice import Lattice
@@ -51,12 +51,7 @@ def characterise_command(
     sessions: Annotated[
         list[Path] | None, typer.Argument(help="Sessions, one per pose, or the folder that holds them.")
     ] = None,
-    target: Annotated[
-        str | None,
-        typer.Option(
-            "--target", help="Target file: the board that was shown.", autocompletion=names_of("target")
-        ),
-    ] = None,
+    target: Annotated[str | None, config_option("target", "Target file: the board that was shown.")] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Where the result goes; with --judge, the report, if wanted.")
     ] = None,
@@ -69,10 +64,7 @@ def characterise_command(
     camera_size: CameraSize = None,
     projector_size: ProjectorSize = None,
     lattice: ProjectorLattice = None,
-    rig: Annotated[
-        str | None,
-        typer.Option("--rig", help="Take the poses now, on this rig.", autocompletion=names_of("rig")),
-    ] = None,
+    rig: Annotated[str | None, config_option("rig", "Take the poses now, on this rig.")] = None,
     plan: PlanName = "plan_board.yaml",
     poses: Annotated[int, typer.Option("--poses", min=3, help="How many poses to take with --rig.")] = 12,
     item: Annotated[str, typer.Option("--item", help="What the rig's fixture calls the board.")] = "board",
@@ -122,12 +114,7 @@ def characterise_command(
         typer.Option("--marks", help="Session that shows the rig's reference marks, taken after the poses."),
     ] = None,
     marks_target: Annotated[
-        str,
-        typer.Option(
-            "--marks-target",
-            help="With --marks: target file of what is printed.",
-            autocompletion=names_of("target"),
-        ),
+        str, config_option("target", "With --marks: target file of what is printed.", "--marks-target")
     ] = "target_marks",
     until: Annotated[
         str | None,
@@ -374,4 +361,4 @@ def _show_judgement(judgement: Judgement) -> None:
     ]
     columns = ["pose", "points", "camera px", "predicted", "projector px", "predicted", ""]
     console.table("Errors in poses that were not fitted", columns, rows)
-    console.stdout.print(judgement.verdict, markup=False)
+    console.stdout.print(judgement.verdict)

@@ -10,7 +10,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, ReportOption, RigName, app
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import config_option
 from fpplab.cli.viewing import ConsoleObserver
 from fpplab.core.errors import ConfigError, DeviceError
 
@@ -26,11 +26,7 @@ def check_command(
     rig: RigName,
     plan: Annotated[
         str | None,
-        typer.Option(
-            "--plan",
-            help="What to project and capture; plan_scan, and plan_board with --board.",
-            autocompletion=names_of("plan"),
-        ),
+        config_option("plan", "What to project and capture; plan_scan, and plan_board with --board."),
     ] = None,
     item: Annotated[
         str | None,
@@ -116,11 +112,11 @@ def _check_board(request: BoardCheckRequest, json: bool) -> None:
     result = run_board_check(request, ConsoleObserver())
 
     def show() -> None:
-        console.stdout.print(result.judged.judgement.verdict, markup=False)
+        console.stdout.print(result.judged.judgement.verdict)
         if (new := result.corrected) is not None:
             changes = new.correction.probabilities.items()
             said = ", ".join(f"{name} ({100 * chance:.0f} %)" for name, chance in changes if chance > 0.05)
-            console.stdout.print(f"probably {said}; scan with {new.calibration_file}", markup=False)
+            console.stdout.print(f"probably {said}; scan with {new.calibration_file}")
 
     console.print_result(result.summary(), json, show)
     if result.corrected is not None:
@@ -132,9 +128,9 @@ def _check_steps(rig: Rig, plan: Plan, item: str, json: bool) -> None:
 
     def tell(step: CheckedStep) -> None:
         if not json:
-            console.stdout.print(f"{step.name}: {'ok' if step.ok else 'FAILS'}: {step.seen}", markup=False)
+            console.stdout.print(f"{step.name}: {'ok' if step.ok else 'FAILS'}: {step.seen}")
             if step.remedy:
-                console.stdout.print(f"  {step.remedy}", markup=False)
+                console.stdout.print(f"  {step.remedy}")
 
     with console.progress("Checking") as report:
         checked = check_steps(rig, plan, item, report, tell)
@@ -155,7 +151,7 @@ def _show_check(check: RigCheck) -> None:
             f"{1e3 * timing.period_s:.6g} ms after it began: by {timing.limit}"
         )
     for finding in check.findings:
-        console.stdout.print(f"{finding.sentence}; {finding.remedy}", markup=False)
+        console.stdout.print(f"{finding.sentence}; {finding.remedy}")
     for unknown in check.unknown:
         console.log_status(f"not checked: {unknown}")
     if not check.findings:

@@ -68,13 +68,13 @@ def compare_command(
 
 def _show(result: ComparisonResult) -> None:
     comparison = result.comparison
-    console.stdout.print(result.misplaced or result.headline, markup=False)
+    console.stdout.print(result.misplaced or result.headline)
     shown_separately = ("lengths", "warnings", "scale")
     console.print_result(
         {name: value for name, value in comparison.summary().items() if name not in shown_separately}, False
     )
     if (scale := comparison.scale) is not None:
-        console.stdout.print(f"scale {scale.ppm:+.1f} ± {scale.sigma_ppm:.1f} ppm", markup=False)
+        console.stdout.print(f"scale {scale.ppm:+.1f} ± {scale.sigma_ppm:.1f} ppm")
     if comparison.lengths:
         heads = ["", "true mm", "measured mm", "error µm", "standard uncertainty µm"]
         console.table("Lengths", heads, [[m.name, *m.texts()] for m in comparison.lengths])

@@ -6,7 +6,6 @@ from dataclasses import asdict
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Json, app
-from fpplab.core import plugins
 
 
 @app.command("devices", rich_help_panel=PREPARE)
@@ -15,11 +14,9 @@ def devices_command(json: Json = False) -> None:
 
     With each device, the rig file that comes with fpplab and has such a device; `fpplab rig new` writes one.
     """
-    from fpplab.devices.discovery import FoundDevices
+    from fpplab.devices.discovery import connected_devices
 
-    discovered = FoundDevices.together(
-        plugins.load_plugin(plugins.DISCOVERY, name)() for name in plugins.plugin_names(plugins.DISCOVERY)
-    )
+    discovered = connected_devices()
     rows = [asdict(d) for d in discovered.devices]
     shown = [[d.kind, d.model, d.serial, d.link, d.example or "none"] for d in discovered.devices]
 

@@ -50,8 +50,8 @@ def doctor_command(
         console.table(f"fpplab {versions['fpplab']}, Python {versions['python']}", ["", "", ""], rows)
         for finding in findings:
             if finding.remedy:
-                console.stdout.print(f"{finding.name}: {finding.remedy}", markup=False)
-        console.stdout.print("All is well." if not wrong else f"To correct: {len(wrong)}.", markup=False)
+                console.stdout.print(f"{finding.name}: {finding.remedy}")
+        console.stdout.print("All is well." if not wrong else f"To correct: {len(wrong)}.")
 
     answer = {"ok": not wrong, "checks": [asdict(finding) for finding in findings], "versions": versions}
     console.print_result(answer, json, show)
@@ -61,13 +61,10 @@ def doctor_command(
 
 def _permissions() -> list[DoctorFinding]:
     """What keeps devices from showing, besides packages that were left out."""
-    from fpplab.core import plugins
     from fpplab.core.doctor import DoctorFinding
-    from fpplab.devices.discovery import FoundDevices
+    from fpplab.devices.discovery import connected_devices
 
-    discovered = FoundDevices.together(
-        plugins.load_plugin(plugins.DISCOVERY, name)() for name in plugins.plugin_names(plugins.DISCOVERY)
-    )
+    discovered = connected_devices()
     barred = [sentence for sentence in discovered.missing if "may not open" in sentence]
     if not barred:
         return [DoctorFinding("permissions", "ok", f"{len(discovered.devices)} devices seen")]

@@ -62,7 +62,7 @@ def gamma_command(
 
 def _show_response(result: dict[str, Any]) -> None:
     for name, sigma in zip("abg", result["sigma"], strict=True):
-        console.stdout.print(f"{name} = {result[name]:.5f} ± {sigma:.2g}", markup=False)
+        console.stdout.print(f"{name} = {result[name]:.5f} ± {sigma:.2g}")
     if result["spline"]:
         console.stdout.print(
             f"no power law predicts the levels: a spline of {len(result['spline'])} coefficients is used, g "
@@ -72,5 +72,5 @@ def _show_response(result: dict[str, Any]) -> None:
     agree = f"; {regions} regions agree on g to {spread:.2g}" if spread is not None else ""
     console.stdout.print(f"RMS misfit {result['residual']:.2g} of full scale, {fitted} levels{agree}")
     console.stdout.print(result["judgement"]["sentence"], markup=False, soft_wrap=True)
-    console.stdout.print(f"picture: {result['picture']}", markup=False)
-    console.stdout.print(f"report: {result['report']}", markup=False)
+    console.stdout.print(f"picture: {result['picture']}")
+    console.stdout.print(f"report: {result['report']}")

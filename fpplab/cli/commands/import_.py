@@ -23,17 +23,14 @@ from fpplab.cli.app import (
     SkippedImages,
     app,
 )
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import config_option
 from fpplab.core.errors import ConfigError
 
 
 @app.command("import", rich_help_panel=MEASURE)
 def import_command(
     out: Out,
-    plan: Annotated[
-        str | None,
-        typer.Option("--plan", help="Plan file: what the images show.", autocompletion=names_of("plan")),
-    ] = None,
+    plan: Annotated[str | None, config_option("plan", "Plan file: what the images show.")] = None,
     places: ImagePlaces = None,
     frames: FrameNames = None,
     bits: ImageBits = None,

@@ -11,7 +11,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, RigName, app
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import config_option
 
 if TYPE_CHECKING:
     from fpplab.setup.live.status import LiveStatus
@@ -24,11 +24,9 @@ def live_command(
     rig: RigName,
     plan: Annotated[
         str | None,
-        typer.Option(
-            "--plan",
-            help="Plan that will be measured with; by default plan_board.yaml with --target, else "
-            "plan_scan.yaml.",
-            autocompletion=names_of("plan"),
+        config_option(
+            "plan",
+            "Plan that will be measured with; by default plan_board.yaml with --target, else plan_scan.yaml.",
         ),
     ] = None,
     calibration: Annotated[
@@ -44,12 +42,7 @@ def live_command(
         ),
     ] = None,
     target: Annotated[
-        str | None,
-        typer.Option(
-            "--target",
-            help="The board, to take poses of it for `characterise`.",
-            autocompletion=names_of("target"),
-        ),
+        str | None, config_option("target", "The board, to take poses of it for `characterise`.")
     ] = None,
     poses: Annotated[
         Path, typer.Option("--poses", help="Folder of the sessions of poses that are taken.")
@@ -138,11 +131,11 @@ def _clear_line() -> None:
 
 def _print_summary(summary: dict[str, Any]) -> None:
     chosen = f"exposure_s: {summary['exposure_s']:.6g}" if summary["exposure_s"] else "no frame was taken"
-    console.stdout.print(f"{chosen}  (for the plan)", markup=False)
+    console.stdout.print(f"{chosen}  (for the plan)")
     if summary["gain_db"] is not None:
-        console.stdout.print(f"gain_db: {summary['gain_db']:.3g}  (for the rig file's camera)", markup=False)
-    console.stdout.print(f"frames: {summary['frames']}", markup=False)
+        console.stdout.print(f"gain_db: {summary['gain_db']:.3g}  (for the rig file's camera)")
+    console.stdout.print(f"frames: {summary['frames']}")
     for pose in summary["poses"]:
-        console.stdout.print(f"pose: {pose}", markup=False)
+        console.stdout.print(f"pose: {pose}")
     for limit in (summary["advice"] or {}).get("limits", []):
-        console.stdout.print(limit, markup=False)
+        console.stdout.print(limit)

@@ -9,7 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, CertificateFolder, Force, Json, RigName, app
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import config_option
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_search
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation.scope import SearchScope
@@ -27,10 +27,7 @@ def optimise_command(
         Path, typer.Option("--out", help="The plan (.yaml); of `pareto` the folder of its plans.")
     ],
     study: Annotated[
-        str | None,
-        typer.Option(
-            "--study", help="Study file: space, limits, objectives, method.", autocompletion=names_of("study")
-        ),
+        str | None, config_option("study", "Study file: space, limits, objectives, method.")
     ] = None,
     calibration: Annotated[
         Path | None,
@@ -53,10 +50,8 @@ def optimise_command(
     certificate: CertificateFolder = None,
     confirm: Annotated[
         str | None,
-        typer.Option(
-            "--confirm",
-            help="Rig on which the start's plan and the one found are then compared.",
-            autocompletion=names_of("rig"),
+        config_option(
+            "rig", "Rig on which the start's plan and the one found are then compared.", "--confirm"
         ),
     ] = None,
     view: ViewOption = False,
@@ -139,10 +134,9 @@ def _show(result: dict[str, Any]) -> None:
     for entry in result["confirmed"]:
         gain = f"{100 * entry['gain']:.1f} ± {100 * entry['uncertainty']:.1f} %"
         sentence = f"On {entry['rig']} {entry['plan']} is {gain} nearer to the surface than the start's plan."
-        console.stdout.print(sentence, markup=False)
+        console.stdout.print(sentence)
     manner = "predicted, the plans above measured" if result["screened"] else "measured"
     console.stdout.print(
         f"{result['epochs']} epochs, {result['candidates']} candidates {manner}, {result['seconds']:.0f} s, "
-        f"{result['ended']}; report: {result['report']}",
-        markup=False,
+        f"{result['ended']}; report: {result['report']}"
     )

@@ -33,11 +33,6 @@ plan_app = typer.Typer(
 app.add_typer(plan_app, name="plan", rich_help_panel=PREPARE)
 
 
-@plan_app.callback()
-def _plan() -> None:
-    """Look at a plan before it is measured, or guess one from images."""
-
-
 @plan_app.command("show")
 def show_command(
     plan: Annotated[

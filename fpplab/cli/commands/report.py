@@ -44,5 +44,5 @@ def _show(answer: dict[str, Any]) -> None:
         figures = (
             entry.get("not_compared") or f"{entry['rms_um']:.1f} µm RMS, median {entry['median_um']:+.1f} µm"
         )
-        console.stdout.print(f"{entry['scan']} minus {entry['reference']}: {figures}", markup=False)
-    console.stdout.print(f"report: {answer['report']}", markup=False)
+        console.stdout.print(f"{entry['scan']} minus {entry['reference']}: {figures}")
+    console.stdout.print(f"report: {answer['report']}")

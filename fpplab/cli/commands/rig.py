@@ -10,7 +10,6 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Commands, Force, Json, Out, PlanName, RigName, app
-from fpplab.core import plugins
 from fpplab.core.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
@@ -22,11 +21,6 @@ rig_app = typer.Typer(
 app.add_typer(rig_app, name="rig", rich_help_panel=PREPARE)
 
 NAMED = "Serial number, model, port or display, as `fpplab devices` shows it"
-
-
-@rig_app.callback()
-def _rig() -> None:
-    """Write a rig file from what is connected; measure a rig's times."""
 
 
 @rig_app.command("new")
@@ -55,7 +49,7 @@ def new_command(
     Example: `fpplab rig new --out rig.yaml`
     """
     from fpplab.core.files import need_suffix, refuse_existing, write_text
-    from fpplab.devices.discovery import FoundDevices
+    from fpplab.devices.discovery import connected_devices
     from fpplab.setup.new_rig import RigSetup
 
     need_suffix(out, ".yaml")
@@ -64,9 +58,7 @@ def new_command(
         raise ConfigError(
             "there is nobody at the terminal to be asked; add --no-questions and name the devices"
         )
-    devices = FoundDevices.together(
-        plugins.load_plugin(plugins.DISCOVERY, plugin)() for plugin in plugins.plugin_names(plugins.DISCOVERY)
-    )
+    devices = connected_devices()
     named = {"camera": camera, "projector": projector, "stage": stage}
     names = {kind: value for kind, value in named.items() if value is not None}
     setup = RigSetup(
@@ -77,7 +69,7 @@ def new_command(
     console.print_result(
         {"rig": str(out), **draft.summary()},
         json,
-        lambda: console.stdout.print(f"{out}; next: `fpplab check --rig {out}`", markup=False),
+        lambda: console.stdout.print(f"{out}; next: `fpplab check --rig {out}`"),
     )
 
 

@@ -20,11 +20,6 @@ session_app = typer.Typer(
 app.add_typer(session_app, name="session", rich_help_panel=MEASURE)
 
 
-@session_app.callback()
-def _session() -> None:
-    """Tell what a session is, verify it, or repair it."""
-
-
 @session_app.command("info")
 def info_command(session: SessionPath, json: Json = False) -> None:
     """Tell what a session is: format, plan, frames, rig, devices, times and results. Reads no frame.
@@ -78,9 +73,9 @@ def verify_session_command(session: SessionPath, json: Json = False) -> None:
 
     def show() -> None:
         for fault in faults:
-            console.stdout.print(fault.message, markup=False)
+            console.stdout.print(fault.message)
         summary = f"{len(faults)} faults; `fpplab session repair {session}` keeps what is whole"
-        console.stdout.print(summary if faults else f"{session}: is whole", markup=False)
+        console.stdout.print(summary if faults else f"{session}: is whole")
 
     console.print_result({"session": str(session), **answer}, json, show)
     if faults:
@@ -105,13 +100,13 @@ def repair_command(session: SessionPath, json: Json = False) -> None:
     def show() -> None:
         say = console.stdout.print
         for name in repair.restored:
-            say(f"restored: {name}", markup=False)
+            say(f"restored: {name}")
         for loss in repair.lost:
-            say(f"lost: {loss}", markup=False)
+            say(f"lost: {loss}")
         for place in repair.aside:
-            say(f"set aside: {place}", markup=False)
+            say(f"set aside: {place}")
         say(f"{session}: {'is whole, nothing was changed' if repair.is_unchanged else 'is readable again'}, "
-            f"{repair.kept} frames", markup=False)  # fmt: skip
+            f"{repair.kept} frames")  # fmt: skip
 
     console.print_result(
         {"session": str(session), "unchanged": repair.is_unchanged, **asdict(repair)}, json, show

@@ -9,7 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, PlanName, app
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import config_option
 from fpplab.cli.lists import VariadicOptionsCommand
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_acceptance
 
@@ -20,12 +20,7 @@ if TYPE_CHECKING:
 @app.command("verify", cls=VariadicOptionsCommand, rich_help_panel=JUDGE)
 def verify_command(
     context: typer.Context,
-    standard: Annotated[
-        str,
-        typer.Option(
-            "--standard", help="Standard file: the standards and limits.", autocompletion=names_of("standard")
-        ),
-    ],
+    standard: Annotated[str, config_option("standard", "Standard file: the standards and limits.")],
     out: Out,
     spheres: Annotated[
         list[Path] | None, typer.Option("--spheres", help="Clouds or sessions of the ball bar, any number.")
@@ -44,12 +39,7 @@ def verify_command(
             "Default: the standard file's, or PF=10,PS=10,SD=7,F=6.",
         ),
     ] = "",
-    rig: Annotated[
-        str | None,
-        typer.Option(
-            "--rig", help="Measure the standard's items now, on this rig.", autocompletion=names_of("rig")
-        ),
-    ] = None,
+    rig: Annotated[str | None, config_option("rig", "Measure the standard's items now, on this rig.")] = None,
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="Of the rig, or of sessions without a cloud.")
     ] = None,
@@ -119,5 +109,5 @@ def _show(result: Acceptance, out: Path) -> None:
     ]
     heads = ["", "values", "worst µm", "of all points", "permitted µm", ""]
     console.table(f"Acceptance test: {result.standard.name}", heads, rows)
-    console.stdout.print(f"spheres up to {result.standard.evaluation.cap_deg:g}° of incidence", markup=False)
-    console.stdout.print(f"{VERDICTS[result.passed]}; report: {out}", markup=False)
+    console.stdout.print(f"spheres up to {result.standard.evaluation.cap_deg:g}° of incidence")
+    console.stdout.print(f"{VERDICTS[result.passed]}; report: {out}")
