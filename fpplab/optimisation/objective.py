@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -20,7 +19,7 @@ class ObjectiveLimit:
     description: str  # what the limit is, for the reference of study files
 
 
-class Objective(ABC):
+class Objective:
     """One figure of a measured candidate that a search can improve; stateless."""
 
     key: ClassVar[str]
@@ -40,9 +39,10 @@ class Objective(ABC):
     limit: ClassVar[ObjectiveLimit | None] = None
     """Field of a study's `constraints` that limits it."""
 
-    @abstractmethod
     def value(self, candidate: MeasuredCandidate) -> float:
-        """Compute the objective, in `unit`, of a candidate that has scores."""
+        """Compute the objective, in `unit`, of a candidate that has scores; by default its figure `key`."""
+        value: float = getattr(candidate.figures, self.key)
+        return value
 
     def spread(self, candidate: MeasuredCandidate) -> float | None:
         """Compute the standard deviation over the seeds of the noise; None where it is not known."""
@@ -65,7 +65,7 @@ class Objective(ABC):
 def registered_objectives() -> dict[str, Objective]:
     """List the objectives that are defined, by key, in the order of their modules."""
     objectives: dict[str, Objective] = {}
-    for cls in concrete_subclasses(Objective):  # type: ignore[type-abstract]
+    for cls in concrete_subclasses(Objective):
         if cls.key in objectives:
             raise TypeError(
                 f"{type(objectives[cls.key]).__name__} and {cls.__name__} have the key '{cls.key}'"
