@@ -11,7 +11,7 @@ from typer.core import TyperGroup
 
 from fpplab.cli import logs
 from fpplab.cli.advice import unknown_command
-from fpplab.cli.completion import config_option
+from fpplab.cli.completion import config_option, option
 from fpplab.cli.lists import global_first
 from fpplab.core.confirmation import ConfirmationRequired, confirm_in_advance
 from fpplab.core.errors import Cancelled, ConfigError
@@ -82,37 +82,35 @@ def _show_version(requested: bool) -> None:
 @app.callback()
 def _fpplab(
     _version: Annotated[
-        bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_show_version)
+        bool, option("--version", "Print the version.", is_eager=True, callback=_show_version)
     ] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Say on stderr what is done, and how long it takes.")
+        bool, option("--verbose -v", "Say on stderr what is done, and how long it takes.")
     ] = False,
-    log: Annotated[
-        Path | None, typer.Option("--log", help="Append the same, with all details, to this file.")
-    ] = None,
+    log: Annotated[Path | None, option("--log", "Append the same, with all details, to this file.")] = None,
     trace: Annotated[
         bool,
-        typer.Option(
+        option(
             "--trace",
-            help="Log what is sent to devices and what they answer, too: in the session's log, with --log in "
+            "Log what is sent to devices and what they answer, too: in the session's log, with --log in "
             "that file, with --verbose on stderr.",
         ),
     ] = False,
     allow: Annotated[
         list[ConfirmationRequired] | None,
-        typer.Option(
+        option(
             "--allow",
-            metavar="ACT",
-            help="Agree in advance to what cannot be undone or may harm a device: "
+            "Agree in advance to what cannot be undone or may harm a device: "
             f"{', '.join(ConfirmationRequired)}. Without a terminal it is refused otherwise.",
+            metavar="ACT",
         ),
     ] = None,
     allow_backend: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--allow-backend",
+            "Let rig files name devices of this module or package, which is then imported and run.",
             metavar="MODULE",
-            help="Let rig files name devices of this module or package, which is then imported and run.",
         ),
     ] = None,
 ) -> None:
@@ -145,13 +143,10 @@ def sort_commands() -> None:
     )
 
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")]
+Json = Annotated[bool, option("--json", "Print one JSON object on stdout, all else on stderr.")]
+Force = Annotated[bool, option("--force", "Replace the output if it exists.")]
 AsRecorded = Annotated[
-    bool,
-    typer.Option(
-        "--as-recorded", help="Take the frames as they are where they seem out of step with the plan."
-    ),
+    bool, option("--as-recorded", "Take the frames as they are where they seem out of step with the plan.")
 ]
 ImagePlaces = Annotated[
     list[Path] | None,
@@ -164,43 +159,42 @@ ImagePlaces = Annotated[
 ]
 FrameNames = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--frames",
-        help="Images of the folder: 'f_{index:02d}.png', 'set{set}_step{step}.png', '*.png' (by the numbers "
+        "Images of the folder: 'f_{index:02d}.png', 'set{set}_step{step}.png', '*.png' (by the numbers "
         "in the names), or '@list.txt' (a name in each line).",
     ),
 ]
 ImageBits = Annotated[
-    int | None,
-    typer.Option("--bits", help="Depth of the grey levels: 8, 10, 12, 14 or 16; by default it is found."),
+    int | None, option("--bits", "Depth of the grey levels: 8, 10, 12, 14 or 16; by default it is found.")
 ]
 FirstIndex = Annotated[
-    int, typer.Option("--first", min=0, help="Number of the first image; with {set} and {step}, of both.")
+    int, option("--first", "Number of the first image; with {set} and {step}, of both.", min=0)
 ]
 FirstStep = Annotated[
-    int | None, typer.Option("--first-step", min=0, help="Number of the first {step}, if it is another.")
+    int | None, option("--first-step", "Number of the first {step}, if it is another.", min=0)
 ]
 CameraSize = Annotated[
     tuple[int, int] | None,
-    typer.Option("--camera-size", help="Width and height of the camera in px, where no file says it."),
+    option("--camera-size", "Width and height of the camera in px, where no file says it."),
 ]
 ProjectorSize = Annotated[
     tuple[int, int] | None,
-    typer.Option("--projector-size", help="Width and height of the projector in px, where no file says it."),
+    option("--projector-size", "Width and height of the projector in px, where no file says it."),
 ]
 ProjectorLattice = Annotated[
     Lattice | None,
-    typer.Option(
+    option(
         "--lattice",
-        help="How the projector's mirrors lie, where no file says it; a LightCrafter's lie in a diamond.",
+        "How the projector's mirrors lie, where no file says it; a LightCrafter's lie in a diamond.",
     ),
 ]
 SkippedImages = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--skip",
+        "Images to leave out, such as white and black ones: '0,1' or '0-1', counted as --first counts.",
         metavar="NUMBERS",
-        help="Images to leave out, such as white and black ones: '0,1' or '0-1', counted as --first counts.",
     ),
 ]
 RigName = Annotated[
@@ -211,28 +205,28 @@ PlanName = Annotated[
     str,
     config_option("plan", "Plan file: what to project and capture."),
 ]
-CalibrationOption = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]
+CalibrationOption = Annotated[Path, option("--calibration", "Written by `fpplab characterise`.")]
 LimitsOption = Annotated[
-    Path | None, typer.Option("--limits", help="File of an expert with other limits than the usual ones.")
+    Path | None, option("--limits", "File of an expert with other limits than the usual ones.")
 ]
 DepthOption = Annotated[
     tuple[float, float] | None,
-    typer.Option(
+    option(
         "--depth",
-        metavar="NEAR FAR",
-        help="Distances from the camera in mm between which the object lies; by default "
+        "Distances from the camera in mm between which the object lies; by default "
         "`depth_mm` of the plan, or else of the rig file.",
+        metavar="NEAR FAR",
     ),
 ]
 CertificateFolder = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--certificate",
+        "Of certificate.pem and key.pem, for a scheduler beyond this computer.",
         metavar="FOLDER",
-        help="Of certificate.pem and key.pem, for a scheduler beyond this computer.",
     ),
 ]
-Out = Annotated[Path, typer.Option("--out", help="Where the result goes.")]
+Out = Annotated[Path, option("--out", "Where the result goes.")]
 ReportOption = Annotated[
-    Path | None, typer.Option("--report", help="Write a report: one HTML file to read, print and forward.")
+    Path | None, option("--report", "Write a report: one HTML file to read, print and forward.")
 ]

@@ -1,4 +1,4 @@
-"""Names that a shell completes: the configurations that come with fpplab, and files of the current folder."""
+"""Options of commands, and the names that a shell completes: shipped configurations, and files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
 
 def names_of(kind: ConfigKind) -> Callable[[str], list[str]]:
-
     def complete(incomplete: str) -> list[str]:
         from fpplab.core.config import shipped_configs  # which `--help` does not need
 
@@ -26,6 +25,10 @@ def names_of(kind: ConfigKind) -> Callable[[str], list[str]]:
     return complete
 
 
+def option(flags: str, help_text: str, **more: Any) -> Any:
+    return typer.Option(*flags.split(), help=help_text, **more)
+
+
 def config_option(kind: ConfigKind, help_text: str, flag: str = "") -> Any:
     """Make an option, by default of the kind's own name, that takes a configuration of this kind."""
-    return typer.Option(flag or f"--{kind}", help=help_text, autocompletion=names_of(kind))
+    return option(flag or f"--{kind}", help_text, autocompletion=names_of(kind))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from fpplab.cli import console
+from fpplab.cli.completion import option
 from fpplab.core.extras import need_extra
 from fpplab.core.progress import Progress
 from fpplab.results.observer import Observer
@@ -32,11 +33,9 @@ else:
     V = TypeVar("V")
 
 ViewOption = Annotated[
-    bool, typer.Option("--view", help="Watch it live in the viewer; a recording is left for `fpplab view`.")
+    bool, option("--view", "Watch it live in the viewer; a recording is left for `fpplab view`.")
 ]
-KeepOpen = Annotated[
-    bool, typer.Option("--keep-open", help="The same; the viewer stays until it is closed, or Ctrl-C.")
-]
+KeepOpen = Annotated[bool, option("--keep-open", "The same; the viewer stays until it is closed, or Ctrl-C.")]
 
 
 def open_viewer(

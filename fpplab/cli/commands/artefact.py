@@ -9,6 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, app
+from fpplab.cli.completion import option
 from fpplab.core.errors import ConfigError
 
 _SHAPES = Path(__file__).parents[2] / "artefacts" / "shapes"
@@ -20,11 +21,9 @@ _NAMES = sorted(path.stem for path in _SHAPES.glob("[!_]*.py"))
 def artefact_command(
     name: Annotated[str, typer.Argument(help=f"{', '.join(_NAMES[:-1])} or {_NAMES[-1]}.")],
     out: Out,
-    layer: Annotated[
-        float | None, typer.Option("--layer", help="As printed in layers of this height, in mm.")
-    ] = None,
+    layer: Annotated[float | None, option("--layer", "As printed in layers of this height, in mm.")] = None,
     bead: Annotated[
-        float | None, typer.Option("--bead", help="Depth of the marks between layers on a wall, in mm.")
+        float | None, option("--bead", "Depth of the marks between layers on a wall, in mm.")
     ] = None,
     force: Force = False,
     json: Json = False,

@@ -9,6 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import START, Force, Json, Out, app
+from fpplab.cli.completion import option
 
 
 @app.command("bug-report", rich_help_panel=START)
@@ -18,7 +19,7 @@ def bug_report_command(
         list[Path] | None,
         typer.Argument(metavar="[SESSION | FILE...]", help="Sessions, log files, rig files, plans."),
     ] = None,
-    frames: Annotated[bool, typer.Option("--frames", help="Put the frames of the sessions in, too.")] = False,
+    frames: Annotated[bool, option("--frames", "Put the frames of the sessions in, too.")] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:

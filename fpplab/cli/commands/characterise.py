@@ -22,7 +22,7 @@ from fpplab.cli.app import (
     ProjectorSize,
     app,
 )
-from fpplab.cli.completion import config_option
+from fpplab.cli.completion import config_option, option
 from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_characterisation
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.lattice import Lattice
@@ -53,77 +53,65 @@ def characterise_command(
     ] = None,
     target: Annotated[str | None, config_option("target", "Target file: the board that was shown.")] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Where the result goes; with --judge, the report, if wanted.")
+        Path | None, option("--out", "Where the result goes; with --judge, the report, if wanted.")
     ] = None,
     points: Annotated[
         Path | None,
-        typer.Option(
-            "--points", help="Table of the board's points in camera and projector, located elsewhere."
-        ),
+        option("--points", "Table of the board's points in camera and projector, located elsewhere."),
     ] = None,
     camera_size: CameraSize = None,
     projector_size: ProjectorSize = None,
     lattice: ProjectorLattice = None,
     rig: Annotated[str | None, config_option("rig", "Take the poses now, on this rig.")] = None,
     plan: PlanName = "plan_board.yaml",
-    poses: Annotated[int, typer.Option("--poses", min=3, help="How many poses to take with --rig.")] = 12,
-    item: Annotated[str, typer.Option("--item", help="What the rig's fixture calls the board.")] = "board",
+    poses: Annotated[int, option("--poses", "How many poses to take with --rig.", min=3)] = 12,
+    item: Annotated[str, option("--item", "What the rig's fixture calls the board.")] = "board",
     model: Annotated[
         ModelName,
-        typer.Option(
+        option(
             "--model",
-            help="Distortion: k1; k2 (k1 k2); tangential (k1 k2 p1 p2); k3 (and k3); rational (and k4 k5 k6, "
+            "Distortion: k1; k2 (k1 k2); tangential (k1 k2 p1 p2); k3 (and k3); rational (and k4 k5 k6, "
             "for wide lenses); auto: k3, with the errors of all in poses left out.",
         ),
     ] = ModelName.AUTO,
     refine_board: Annotated[
         bool | None,
-        typer.Option(
+        option(
             "--refine-board/--flat-board",
-            help="Fit the board's shape too, which is the default; or take it as flat and exact.",
+            "Fit the board's shape too, which is the default; or take it as flat and exact.",
         ),
     ] = None,
     judged: Annotated[
         Path | None,
-        typer.Option(
-            "--judge", help="Calibration to judge by the sessions, poses that it was not fitted to."
-        ),
+        option("--judge", "Calibration to judge by the sessions, poses that it was not fitted to."),
     ] = None,
     corrected: Annotated[
         Path | None,
-        typer.Option(
-            "--correct", help="Calibration to correct by the sessions, one to three poses of its board."
-        ),
+        option("--correct", "Calibration to correct by the sessions, one to three poses of its board."),
     ] = None,
     combined: Annotated[
-        bool,
-        typer.Option("--combine", help="Combine the calibrations given instead of sessions, all of one rig."),
+        bool, option("--combine", "Combine the calibrations given instead of sessions, all of one rig.")
     ] = False,
     confirm: Annotated[
-        bool,
-        typer.Option("--confirm", help="With --judge: record in the calibration that the poses confirm it."),
+        bool, option("--confirm", "With --judge: record in the calibration that the poses confirm it.")
     ] = False,
     guide: Annotated[
-        bool,
-        typer.Option(
-            "--guide", help="With --rig: ask for the poses one at a time, by what is still uncertain."
-        ),
+        bool, option("--guide", "With --rig: ask for the poses one at a time, by what is still uncertain.")
     ] = False,
     marks: Annotated[
-        Path | None,
-        typer.Option("--marks", help="Session that shows the rig's reference marks, taken after the poses."),
+        Path | None, option("--marks", "Session that shows the rig's reference marks, taken after the poses.")
     ] = None,
     marks_target: Annotated[
         str, config_option("target", "With --marks: target file of what is printed.", "--marks-target")
     ] = "target_marks",
     until: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--until",
-            metavar="LENGTH",
-            help="With --guide: end at this standard uncertainty of form, such as 20um: root mean square "
+            "With --guide: end at this standard uncertainty of form, such as 20um: root mean square "
             "over the volume that both devices see within --depth, by the calibration alone, after the best "
             "rigid motion of all its points, without the board's scale, which no pose can determine.",
+            metavar="LENGTH",
         ),
     ] = None,
     depth: DepthOption = None,
@@ -232,9 +220,9 @@ def wanted_mm(
     guide: bool, until: str | None, depth_mm: DepthInterval | None, rig: str | None, limits: Path | None
 ) -> float | None:
     """Check the options that go with one another, and give the uncertainty that is asked for."""
-    for option, value in (("--until", until), ("--depth", depth_mm)):
+    for name, value in (("--until", until), ("--depth", depth_mm)):
         if value is not None and not guide:
-            raise ConfigError(f"{option} goes with --guide, which asks for poses; add --guide")
+            raise ConfigError(f"{name} goes with --guide, which asks for poses; add --guide")
     if guide and rig is None:
         raise ConfigError("--guide takes poses one at a time, and needs --rig to take them on")
     if limits and guide:
@@ -256,12 +244,12 @@ def point_list_source(
 
     sizes = {"--camera-size": camera_size, "--projector-size": projector_size}
     if points is None:
-        given = [option for option, value in (*sizes.items(), ("--lattice", lattice)) if value is not None]
+        given = [option for name, value in (*sizes.items(), ("--lattice", lattice)) if value is not None]
         if given:
             raise ConfigError(f"{given[0]} goes with --points; sessions and rigs know it themselves")
         return None
     if camera_size is None or projector_size is None:
-        missing = next(option for option, value in sizes.items() if value is None)
+        missing = next(option for name, value in sizes.items() if value is None)
         raise ConfigError(f"{missing} is missing; a table of points does not say it")
     return PointListSource(points, camera_size, projector_size, lattice or Lattice.SQUARE)
 

@@ -6,11 +6,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, ReportOption, RigName, app
-from fpplab.cli.completion import config_option
+from fpplab.cli.completion import config_option, option
 from fpplab.cli.viewing import ConsoleObserver
 from fpplab.core.errors import ConfigError, DeviceError
 
@@ -30,27 +28,22 @@ def check_command(
     ] = None,
     item: Annotated[
         str | None,
-        typer.Option(
-            "--item", help="What to look at: an evenly white card or a bright part; grey_card, or board."
-        ),
+        option("--item", "What to look at: an evenly white card or a bright part; grey_card, or board."),
     ] = None,
     calibration: Annotated[
-        Path | None,
-        typer.Option("--calibration", help="Check that it is still the rig's, and the rig's geometry."),
+        Path | None, option("--calibration", "Check that it is still the rig's, and the rig's geometry.")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", help="Folder for a picture of each finding; a .png for one of the levels seen."
-        ),
+        option("--out", "Folder for a picture of each finding; a .png for one of the levels seen."),
     ] = None,
     page: ReportOption = None,
     steps: Annotated[
-        bool, typer.Option("--steps", help="Link, lamp, pulses, rate, exposure, focus, one after another.")
+        bool, option("--steps", "Link, lamp, pulses, rate, exposure, focus, one after another.")
     ] = False,
     board: Annotated[
         Path | None,
-        typer.Option("--board", help="Take one pose of the board into this folder, and check --calibration."),
+        option("--board", "Take one pose of the board into this folder, and check --calibration."),
     ] = None,
     force: Force = False,
     json: Json = False,

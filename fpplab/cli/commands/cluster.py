@@ -8,24 +8,20 @@ import threading
 from contextlib import suppress
 from typing import Annotated
 
-import typer
-
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, CertificateFolder, Json, app
+from fpplab.cli.completion import option
 
 
 @app.command("cluster", rich_help_panel=TWIN)
 def cluster_command(
-    listen: Annotated[
-        str, typer.Option("--listen", help="Address at which others join.")
-    ] = "tcp://127.0.0.1:8786",
+    listen: Annotated[str, option("--listen", "Address at which others join.")] = "tcp://127.0.0.1:8786",
     join: Annotated[
-        str | None, typer.Option("--join", help="Scheduler to join with workers, instead of serving one.")
+        str | None, option("--join", "Scheduler to join with workers, instead of serving one.")
     ] = None,
     certificate: CertificateFolder = None,
     workers: Annotated[
-        int | None,
-        typer.Option("--workers", min=0, help="Processes that measure here; by default one for every core."),
+        int | None, option("--workers", "Processes that measure here; by default one for every core.", min=0)
     ] = None,
     json: Json = False,
 ) -> None:

@@ -9,6 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, ReportOption, app
+from fpplab.cli.completion import option
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_measurement
 
 if TYPE_CHECKING:
@@ -20,20 +21,14 @@ def compare_command(
     context: typer.Context,
     cloud: Annotated[Path, typer.Argument(help="Measured cloud: .ply, .xyz or .npz, or a session.")],
     mesh: Annotated[Path, typer.Argument(help="True shape: .stl, .ply or .obj, in mm.")],
-    align: Annotated[
-        bool, typer.Option("--align", help="Move the mesh onto the cloud first (rigidly).")
-    ] = False,
+    align: Annotated[bool, option("--align", "Move the mesh onto the cloud first (rigidly).")] = False,
     calibration: Annotated[
         Path | None,
-        typer.Option(
-            "--calibration", help="Count only what both devices see. Default: the one next to the cloud."
-        ),
+        option("--calibration", "Count only what both devices see. Default: the one next to the cloud."),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", help="Write a picture of the errors (.png), or the points coloured by them (.ply)."
-        ),
+        option("--out", "Write a picture of the errors (.png), or the points coloured by them (.ply)."),
     ] = None,
     page: ReportOption = None,
     view: ViewOption = False,

@@ -9,6 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, CameraSize, Force, Json, Out, ProjectorLattice, ProjectorSize, app
+from fpplab.cli.completion import option
 from fpplab.core.errors import ConfigError
 
 
@@ -26,9 +27,7 @@ def convert_command(
     lattice: ProjectorLattice = None,
     unit: Annotated[
         str | None,
-        typer.Option(
-            "--unit", help="Unit of lengths (mm, cm, m), if it is not the one of the files' format."
-        ),
+        option("--unit", "Unit of lengths (mm, cm, m), if it is not the one of the files' format."),
     ] = None,
     force: Force = False,
     json: Json = False,

@@ -5,17 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from fpplab.cli import console
 from fpplab.cli.app import START, Force, Json, Out, app
+from fpplab.cli.completion import option
 from fpplab.cli.viewing import ConsoleObserver
 
 
 @app.command("demo", rich_help_panel=START)
 def demo_command(
     out: Out = Path("fpplab-demo"),
-    quick: Annotated[bool, typer.Option("--quick", help="684 x 456 pixels instead of 1368 x 912.")] = False,
+    quick: Annotated[bool, option("--quick", "684 x 456 pixels instead of 1368 x 912.")] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:

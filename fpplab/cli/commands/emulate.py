@@ -13,6 +13,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import INSTRUMENTS, Json, app
+from fpplab.cli.completion import option
 from fpplab.core import plugins
 from fpplab.core.errors import ConfigError
 
@@ -20,9 +21,7 @@ from fpplab.core.errors import ConfigError
 @app.command("emulate", rich_help_panel=INSTRUMENTS)
 def emulate_command(
     name: Annotated[str, typer.Argument(help=f"{', '.join(plugins.plugin_names(plugins.EMULATORS))}.")],
-    firmware: Annotated[
-        Path | None, typer.Option("--firmware", help="For dlp4500: what is in its flash.")
-    ] = None,
+    firmware: Annotated[Path | None, option("--firmware", "For dlp4500: what is in its flash.")] = None,
     json: Json = False,
 ) -> None:
     """Run a device emulator until Ctrl-C.

@@ -10,6 +10,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Force, Json, app
+from fpplab.cli.completion import option
 from fpplab.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -27,15 +28,12 @@ def export_command(
             help="A cloud, a session with its cloud, a calibration, or a --json answer or journal of fpplab."
         ),
     ],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="The file; its suffix says the format. Some are folders.")
-    ],
+    out: Annotated[Path, option("--out -o", "The file; its suffix says the format. Some are folders.")],
     layout: Annotated[
-        str | None,
-        typer.Option("--layout", help="Of a calibration: opencv, slstudio, matlab, bouguet, ros, or table."),
+        str | None, option("--layout", "Of a calibration: opencv, slstudio, matlab, bouguet, ros, or table.")
     ] = None,
     table: Annotated[
-        str | None, typer.Option("--table", help="Which table of an answer, where --out is one file.")
+        str | None, option("--table", "Which table of an answer, where --out is one file.")
     ] = None,
     force: Force = False,
     json: Json = False,

@@ -8,6 +8,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, Out, PlanName, RigName, app
+from fpplab.cli.completion import option
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_response
 
 
@@ -18,16 +19,13 @@ def gamma_command(
     out: Out,
     plan: PlanName = "plan_paper.yaml",
     levels: Annotated[
-        int | None,
-        typer.Option("--levels", min=5, max=256, help="Grey levels to show; the plan's by default."),
+        int | None, option("--levels", "Grey levels to show; the plan's by default.", min=5, max=256)
     ] = None,
     repeats: Annotated[
-        int | None, typer.Option("--repeats", min=1, max=1000, help="How often; the plan's by default.")
+        int | None, option("--repeats", "How often; the plan's by default.", min=1, max=1000)
     ] = None,
-    exposure_s: Annotated[
-        float | None, typer.Option("--exposure", help="Exposure in s; the plan's by default.")
-    ] = None,
-    item: Annotated[str, typer.Option("--item", help="What to look at: an evenly white card.")] = "grey_card",
+    exposure_s: Annotated[float | None, option("--exposure", "Exposure in s; the plan's by default.")] = None,
+    item: Annotated[str, option("--item", "What to look at: an evenly white card.")] = "grey_card",
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     force: Force = False,

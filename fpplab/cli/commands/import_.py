@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from fpplab.cli import console
 from fpplab.cli.app import (
     MEASURE,
@@ -23,7 +21,7 @@ from fpplab.cli.app import (
     SkippedImages,
     app,
 )
-from fpplab.cli.completion import config_option
+from fpplab.cli.completion import config_option, option
 from fpplab.core.errors import ConfigError
 
 
@@ -40,21 +38,15 @@ def import_command(
     projector_size: ProjectorSize = None,
     lattice: ProjectorLattice = None,
     phase: Annotated[
-        Path | None,
-        typer.Option("--phase", help="Instead of images: a map along x that another program decoded."),
+        Path | None, option("--phase", "Instead of images: a map along x that another program decoded.")
     ] = None,
-    phase_y: Annotated[
-        Path | None, typer.Option("--phase-y", help="The map along y, with --phase or alone.")
-    ] = None,
+    phase_y: Annotated[Path | None, option("--phase-y", "The map along y, with --phase or alone.")] = None,
     period: Annotated[
         float | None,
-        typer.Option(
-            "--period", help="Maps are absolute phases in rad, of fringes of this period in projector px."
-        ),
+        option("--period", "Maps are absolute phases in rad, of fringes of this period in projector px."),
     ] = None,
     sigma: Annotated[
-        float | None,
-        typer.Option("--sigma", help="Standard deviation of the maps in projector px, where it is known."),
+        float | None, option("--sigma", "Standard deviation of the maps in projector px, where it is known.")
     ] = None,
     force: Force = False,
     json: Json = False,
@@ -80,9 +72,9 @@ def import_command(
         }  # fmt: skip
         _import_maps(phase, phase_y, period, sigma, projector_size, out, force, json, unused)
         return
-    for option, value in (("--period", period), ("--sigma", sigma)):
+    for name, value in (("--period", period), ("--sigma", sigma)):
         if value is not None:
-            raise ConfigError(f"{option} goes with --phase")
+            raise ConfigError(f"{name} goes with --phase")
     if plan is None:
         raise ConfigError("--plan: is missing; name the plan that the images show")
     from fpplab import pipeline
@@ -121,9 +113,9 @@ def _import_maps(
     from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.phase.phase_maps import PhaseMapSource, import_phase_maps
 
-    for option, value in unused.items():
+    for name, value in unused.items():
         if value:
-            raise ConfigError(f"{option} goes with images, not with --phase")
+            raise ConfigError(f"{name} goes with images, not with --phase")
     if projector_size is None:
         raise ConfigError("--projector-size: is missing; maps do not say it")
     need_suffix(out, ".npz")

@@ -7,11 +7,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, RigName, app
-from fpplab.cli.completion import config_option
+from fpplab.cli.completion import config_option, option
 
 if TYPE_CHECKING:
     from fpplab.setup.live.status import LiveStatus
@@ -30,38 +28,34 @@ def live_command(
         ),
     ] = None,
     calibration: Annotated[
-        Path | None, typer.Option("--calibration", help="Show overlap, angle and expected uncertainty by it.")
+        Path | None, option("--calibration", "Show overlap, angle and expected uncertainty by it.")
     ] = None,
     distance: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--distance",
-            min=1.0,
-            help="Distance of the part from the camera in mm; by default the middle of `depth_mm` of plan or "
+            "Distance of the part from the camera in mm; by default the middle of `depth_mm` of plan or "
             "rig, or else where both middle rays meet.",
+            min=1.0,
         ),
     ] = None,
     target: Annotated[
         str | None, config_option("target", "The board, to take poses of it for `characterise`.")
     ] = None,
-    poses: Annotated[
-        Path, typer.Option("--poses", help="Folder of the sessions of poses that are taken.")
-    ] = Path("live_poses"),
-    item: Annotated[
-        str | None, typer.Option("--item", help="Item that the rig's fixture mounts first.")
-    ] = None,
+    poses: Annotated[Path, option("--poses", "Folder of the sessions of poses that are taken.")] = Path(
+        "live_poses"
+    ),
+    item: Annotated[str | None, option("--item", "Item that the rig's fixture mounts first.")] = None,
     stage_step: Annotated[
-        float, typer.Option("--stage-step", min=1e-4, help="How far one key moves the stage, in mm.")
+        float, option("--stage-step", "How far one key moves the stage, in mm.", min=1e-4)
     ] = 1.0,
-    frames: Annotated[int | None, typer.Option("--frames", min=1, help="End after this many frames.")] = None,
-    seconds: Annotated[
-        float | None, typer.Option("--seconds", min=0.1, help="End after this many seconds.")
-    ] = None,
+    frames: Annotated[int | None, option("--frames", "End after this many frames.", min=1)] = None,
+    seconds: Annotated[float | None, option("--seconds", "End after this many seconds.", min=0.1)] = None,
     view: Annotated[
-        bool, typer.Option("--view/--no-view", help="Show images in the viewer, or only figures here.")
+        bool, option("--view/--no-view", "Show images in the viewer, or only figures here.")
     ] = True,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Leave a recording of what the viewer shows, as .rrd.")
+        Path | None, option("--out", "Leave a recording of what the viewer shows, as .rrd.")
     ] = None,
     force: Force = False,
     json: Json = False,

@@ -9,7 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, CertificateFolder, Force, Json, RigName, app
-from fpplab.cli.completion import config_option
+from fpplab.cli.completion import config_option, option
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_search
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation.scope import SearchScope
@@ -23,29 +23,24 @@ def optimise_command(
     context: typer.Context,
     what: Annotated[SearchScope, typer.Argument(help="What to search: phases, stripes, baseline or pareto.")],
     rig: RigName,
-    out: Annotated[
-        Path, typer.Option("--out", help="The plan (.yaml); of `pareto` the folder of its plans.")
-    ],
+    out: Annotated[Path, option("--out", "The plan (.yaml); of `pareto` the folder of its plans.")],
     study: Annotated[
         str | None, config_option("study", "Study file: space, limits, objectives, method.")
     ] = None,
     calibration: Annotated[
-        Path | None,
-        typer.Option("--calibration", help="Of the rig as it stands; without, it is characterised first."),
+        Path | None, option("--calibration", "Of the rig as it stands; without, it is characterised first.")
     ] = None,
     seeds: Annotated[
-        int | None, typer.Option("--seeds", min=1, help="Seeds 1 … N of the noise, or repeats on a real rig.")
+        int | None, option("--seeds", "Seeds 1 … N of the noise, or repeats on a real rig.", min=1)
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
-            "--workers",
-            min=1,
-            help="Processes that measure; by default a simulation's are one for every core.",
+        option(
+            "--workers", "Processes that measure; by default a simulation's are one for every core.", min=1
         ),
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option("--scheduler", help="Address of a `dask` scheduler whose workers measure.")
+        str | None, option("--scheduler", "Address of a `dask` scheduler whose workers measure.")
     ] = None,
     certificate: CertificateFolder = None,
     confirm: Annotated[

@@ -24,7 +24,7 @@ from fpplab.cli.app import (
     SkippedImages,
     app,
 )
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import names_of, option
 from fpplab.core.errors import DataError
 
 plan_app = typer.Typer(
@@ -44,7 +44,7 @@ def show_command(
         ),
     ],
     rig: RigName,
-    out: Annotated[Path | None, typer.Option("--out", help="Picture of all patterns, as PNG.")] = None,
+    out: Annotated[Path | None, option("--out", "Picture of all patterns, as PNG.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -77,7 +77,7 @@ def show_command(
 @plan_app.command("guess")
 def guess_command(
     projector_size: Annotated[
-        tuple[int, int], typer.Option("--projector-size", help="Width and height of the projector in px.")
+        tuple[int, int], option("--projector-size", "Width and height of the projector in px.")
     ],
     out: Out,
     places: ImagePlaces = None,
@@ -87,7 +87,7 @@ def guess_command(
     first_step: FirstStep = None,
     skip: SkippedImages = None,
     finest: Annotated[
-        float | None, typer.Option("--finest", min=1, help="Stripes of the finest set, where they are known.")
+        float | None, option("--finest", "Stripes of the finest set, where they are known.", min=1)
     ] = None,
     force: Force = False,
     json: Json = False,

@@ -19,6 +19,7 @@ from fpplab.cli.app import (
     Out,
     app,
 )
+from fpplab.cli.completion import option
 from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_measurement
 
 
@@ -29,8 +30,7 @@ def reconstruct_command(
     calibration: CalibrationOption,
     out: Out,
     filtering: Annotated[
-        bool | None,
-        typer.Option("--filter/--no-filter", help="Remove points that lie on no surface; as the plan says."),
+        bool | None, option("--filter/--no-filter", "Remove points that lie on no surface; as the plan says.")
     ] = None,
     depth: DepthOption = None,
     as_recorded: AsRecorded = False,
@@ -82,9 +82,9 @@ def _triangulate_maps(
     from fpplab.core.errors import ConfigError
     from fpplab.workflows.maps import MapsRequest, run_triangulation
 
-    for option, value in unused.items():
+    for name, value in unused.items():
         if value is not None:
-            raise ConfigError(f"{option} goes with a session; {maps} holds maps without frames")
+            raise ConfigError(f"{name} goes with a session; {maps} holds maps without frames")
     request = MapsRequest(maps, Calibration.load(calibration), out, force)
     result = run_triangulation(request, ConsoleObserver())
     console.log_status(result.diagnosis.sentence)

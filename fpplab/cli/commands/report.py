@@ -9,13 +9,14 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, app
+from fpplab.cli.completion import option
 from fpplab.cli.viewing import ConsoleObserver
 
 
 @app.command("report", rich_help_panel=JUDGE)
 def report_command(
     scans: Annotated[list[Path], typer.Argument(help="Sessions or clouds, two or more.")],
-    out: Annotated[Path, typer.Option("--out", help="The page, as HTML.")],
+    out: Annotated[Path, option("--out", "The page, as HTML.")],
     force: Force = False,
     json: Json = False,
 ) -> None:

@@ -10,6 +10,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Commands, Force, Json, Out, PlanName, RigName, app
+from fpplab.cli.completion import option
 from fpplab.core.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
@@ -26,16 +27,16 @@ NAMED = "Serial number, model, port or display, as `fpplab devices` shows it"
 @rig_app.command("new")
 def new_command(
     out: Out,
-    name: Annotated[str, typer.Option("--name", help="What the rig is called in reports.")] = "Bench",
-    camera: Annotated[str | None, typer.Option("--camera", help=f"{NAMED}.")] = None,
-    projector: Annotated[str | None, typer.Option("--projector", help=f"{NAMED}.")] = None,
-    stage: Annotated[str | None, typer.Option("--stage", help=f"{NAMED}; `none` for none.")] = None,
-    home: Annotated[bool, typer.Option("--home", help="Home the stage: its carriage moves.")] = False,
+    name: Annotated[str, option("--name", "What the rig is called in reports.")] = "Bench",
+    camera: Annotated[str | None, option("--camera", f"{NAMED}.")] = None,
+    projector: Annotated[str | None, option("--projector", f"{NAMED}.")] = None,
+    stage: Annotated[str | None, option("--stage", f"{NAMED}; `none` for none.")] = None,
+    home: Annotated[bool, option("--home", "Home the stage: its carriage moves.")] = False,
     operator: Annotated[
-        bool, typer.Option("--operator/--no-operator", help="Whether a person holds what is measured.")
+        bool, option("--operator/--no-operator", "Whether a person holds what is measured.")
     ] = True,
     no_questions: Annotated[
-        bool, typer.Option("--no-questions", help="Take what is named, or the only device of a kind.")
+        bool, option("--no-questions", "Take what is named, or the only device of a kind.")
     ] = False,
     force: Force = False,
     json: Json = False,

@@ -19,6 +19,7 @@ from fpplab.cli.app import (
     RigName,
     app,
 )
+from fpplab.cli.completion import option
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_measurement
 
 
@@ -29,16 +30,14 @@ def scan_command(
     calibration: CalibrationOption,
     out: Out,
     plan: PlanName = "plan_scan.yaml",
-    item: Annotated[
-        str | None, typer.Option("--item", help="Have the rig's fixture put this up first.")
-    ] = None,
-    pose: Annotated[int, typer.Option("--pose", min=0, help="In which of its poses.")] = 0,
+    item: Annotated[str | None, option("--item", "Have the rig's fixture put this up first.")] = None,
+    pose: Annotated[int, option("--pose", "In which of its poses.", min=0)] = 0,
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     depth: DepthOption = None,
     limits: LimitsOption = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say where the stage would go, and move and project nothing.")
+        bool, option("--dry-run", "Say where the stage would go, and move and project nothing.")
     ] = False,
     force: Force = False,
     json: Json = False,

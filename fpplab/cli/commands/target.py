@@ -10,7 +10,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, app
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import names_of, option
 
 
 @app.command("target", rich_help_panel=PREPARE)
@@ -23,10 +23,8 @@ def target_command(
             autocompletion=names_of("target"),
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "--make", help="The page to write: .pdf or .svg.")],
-    paper: Annotated[
-        str, typer.Option("--paper", help="A4, A3, letter, or width x height in mm like 300x200.")
-    ] = "A4",
+    out: Annotated[Path, option("--out --make", "The page to write: .pdf or .svg.")],
+    paper: Annotated[str, option("--paper", "A4, A3, letter, or width x height in mm like 300x200.")] = "A4",
     force: Force = False,
     json: Json = False,
 ) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, PlanName, app
-from fpplab.cli.completion import config_option
+from fpplab.cli.completion import config_option, option
 from fpplab.cli.lists import VariadicOptionsCommand
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_acceptance
 
@@ -23,25 +23,23 @@ def verify_command(
     standard: Annotated[str, config_option("standard", "Standard file: the standards and limits.")],
     out: Out,
     spheres: Annotated[
-        list[Path] | None, typer.Option("--spheres", help="Clouds or sessions of the ball bar, any number.")
+        list[Path] | None, option("--spheres", "Clouds or sessions of the ball bar, any number.")
     ] = None,
     planes: Annotated[
-        list[Path] | None, typer.Option("--planes", help="Clouds or sessions of the plane, any number.")
+        list[Path] | None, option("--planes", "Clouds or sessions of the plane, any number.")
     ] = None,
-    mpe: Annotated[
-        str, typer.Option("--mpe", help="Maximum permissible errors in µm, such as PF=50,SD=30.")
-    ] = "",
+    mpe: Annotated[str, option("--mpe", "Maximum permissible errors in µm, such as PF=50,SD=30.")] = "",
     positions: Annotated[
         str,
-        typer.Option(
+        option(
             "--positions",
-            help="Least numbers of positions, such as PF=10,SD=7. "
+            "Least numbers of positions, such as PF=10,SD=7. "
             "Default: the standard file's, or PF=10,PS=10,SD=7,F=6.",
         ),
     ] = "",
     rig: Annotated[str | None, config_option("rig", "Measure the standard's items now, on this rig.")] = None,
     calibration: Annotated[
-        Path | None, typer.Option("--calibration", help="Of the rig, or of sessions without a cloud.")
+        Path | None, option("--calibration", "Of the rig, or of sessions without a cloud.")
     ] = None,
     plan: PlanName = "plan_scan.yaml",
     view: ViewOption = False,

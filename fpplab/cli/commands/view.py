@@ -9,6 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Force, Json, app
+from fpplab.cli.completion import option
 from fpplab.core.errors import ConfigError
 from fpplab.core.extras import need_extra
 
@@ -21,16 +22,14 @@ def view_command(
     session: Annotated[
         Path, typer.Argument(help="A session; or what `--view` left, as a file (.rrd) or its folder.")
     ],
-    calibration: Annotated[
-        Path | None, typer.Option("--calibration", help="Default: the one in the session.")
-    ] = None,
+    calibration: Annotated[Path | None, option("--calibration", "Default: the one in the session.")] = None,
     mesh: Annotated[
-        Path | None, typer.Option("--mesh", help="True shape: the cloud is coloured by its distance from it.")
+        Path | None, option("--mesh", "True shape: the cloud is coloured by its distance from it.")
     ] = None,
     align: Annotated[
-        bool, typer.Option("--align", help="Move the cloud onto the mesh first, as `compare` does.")
+        bool, option("--align", "Move the cloud onto the mesh first, as `compare` does.")
     ] = False,
-    out: Annotated[Path | None, typer.Option("--out", help="Save as .rrd instead of showing.")] = None,
+    out: Annotated[Path | None, option("--out", "Save as .rrd instead of showing.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
