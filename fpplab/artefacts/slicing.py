@@ -24,12 +24,8 @@ class SlicingLimits:
     """Limits of slicing a solid into layers."""
 
     max_layers: int = 2000  # number of layers (chosen)
-    bead_levels: int = 3
-    """Depths that approximate a bead's round profile. Derived: a wall is accurate to a quarter of the
-    grooves' depth."""
-    negligible_mm: float = 1e-5
-    """Length that counts as 0. Chosen above the rounding of a file of 32 bit floats and far below any
-    printer's accuracy."""
+    bead_levels: int = 3  # depths of a bead's round profile (derived: accurate to a quarter of the grooves)
+    negligible_mm: float = 1e-5  # counts as 0 (chosen above the rounding of 32 bit floats)
     max_base_offset_mm: float = 1e-3  # distance of a part's lowest point from z = 0 (chosen)
 
 

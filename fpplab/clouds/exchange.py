@@ -17,8 +17,7 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.extras import need_extra
 from fpplab.core.files import write_atomic, write_by_name
 
-MAX_E57_PIXEL = 2**16 - 1
-"""Greatest row or column of a pixel that the writer of E57 files takes: they are integers of 16 bits."""
+MAX_E57_PIXEL = 2**16 - 1  # greatest row or column of a pixel in E57 files, integers of 16 bits
 
 
 def export_cloud(cloud: Cloud, path: Path | str) -> None:

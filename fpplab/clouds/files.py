@@ -35,7 +35,7 @@ TEXT_SUFFIXES = (".xyz", ".csv", ".txt", ".pts", ".asc")  # of tables of points,
 READ_SUFFIXES = tuple(dict.fromkeys((*CLOUD_SUFFIXES, *TEXT_SUFFIXES)))
 MESH_SUFFIXES = (".stl", ".ply", ".obj")  # of files that `load_mesh` reads
 MIN_SIZE_MM = 1.0
-"""Size below which a cloud or a mesh seems to be in another unit. Chosen: parts are of 1 mm to 2 m."""
+"""Below which a cloud or mesh seems to be in another unit (chosen: parts are of 1 mm to 2 m)"""
 FAR_MM = 8192.0  # coordinate from which steps of 32-bit numbers reach 1 µm
 
 

@@ -30,30 +30,18 @@ class AlignmentLimits:
     coarse_rounds: int = 20  # iterations of the search (chosen)
     fine_rounds: int = 60  # iterations of the refinement (chosen)
     search_distance: float = 0.05
-    """Distance, in sizes of the mesh, up to which points have full weight in the first iteration of a search
-    from principal axes. Chosen."""
+    """In sizes of the mesh, up to which points have full weight at first (chosen)"""
     search_decay: float = 0.7  # factor of that distance from one iteration to the next (chosen)
-    start_offset: float = 0.05
-    """How far in front of the mesh, as the camera sees it, a cloud is first placed, in sizes of the mesh.
-    Chosen."""
-    converged_step: float = 1e-7
-    """Motion, in rad and in sizes of the mesh, below which the iteration has converged. Chosen: a hundredth
-    of a micrometre on a part of 100 mm."""
+    start_offset: float = 0.05  # how far in front of the mesh a cloud is first placed, in its sizes (chosen)
+    converged_step: float = 1e-7  # in rad and in sizes of the mesh (chosen: 0.01 µm on a part of 100 mm)
     max_misfit: float = 0.01  # mean distance, in sizes of the mesh, from which a pose is rejected (chosen)
     good_misfit: float = 3e-4
-    """Mean distance, in sizes of the mesh, up to which no better pose is searched. Chosen small, since wrong
-    poses of a nearly symmetric part are not far off."""
-    detail_size: float = 0.004
-    """Size of features, in sizes of the mesh, that are ignored when the direction that the surface faces is
-    determined. Chosen above the grooves between printed layers."""
-    direction_points: int = 400_000
-    """Samples of the surface that determine this direction. Chosen: several in every such feature."""
-    judged_share: float = 0.8
-    """Share of the cloud, its nearest points, by which a pose is judged; the rest may belong to other
-    objects. Chosen."""
+    """Mean distance in sizes of the mesh. Chosen small: wrong poses of symmetric parts are near."""
+    detail_size: float = 0.004  # in sizes of the mesh (chosen above the grooves between printed layers)
+    direction_points: int = 400_000  # samples of the surface (chosen: several in every such feature)
+    judged_share: float = 0.8  # of the cloud, its nearest points, by which a pose is judged (chosen)
     good_share: float = 0.97
-    """Share of the cloud that a pose must fit to count as good without a further search: nearly all points
-    but outliers, since small features of a part distinguish its poses. Chosen."""
+    """Of the cloud that a good pose must fit (chosen: small features distinguish poses)"""
 
 
 LIMITS = AlignmentLimits()

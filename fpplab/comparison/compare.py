@@ -50,17 +50,12 @@ class ComparisonLimits:
 
     density_per_mm2: float = 200.0  # samples of the true surface (chosen: their mean spacing is 0.07 mm)
     max_samples: int = 2_000_000
-    """Samples of the true surface, or twice the points of the cloud if that is more. Chosen: for a large part
-    more samples than points cost time and show nothing more."""
+    """Of the true surface, or twice the points of the cloud if that is more. Chosen: more show nothing."""
     outlier_mm: float = 1.0  # distance beyond which a point is an outlier (chosen)
     near_mm: float = 0.5
-    """Distance of the reconstructed surface up to which a place of the true surface counts as measured.
-    Chosen."""
-    max_out_of_view: float = 0.01
-    """Share of the surface turned to the devices that may lie outside of their images without a warning.
-    Chosen."""
-    max_turned_share: float = 0.01
-    """Share of the edges across which faces may be wound differently: a few do not matter. Chosen."""
+    """Distance of the surface up to which a place of the true one counts as measured (chosen)"""
+    max_out_of_view: float = 0.01  # share of the surface outside of the images without a warning (chosen)
+    max_turned_share: float = 0.01  # share of the edges across which faces may be wound differently (chosen)
 
 
 LIMITS = ComparisonLimits()

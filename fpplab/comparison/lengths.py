@@ -24,16 +24,13 @@ class LengthLimits:
 
     edge_mm: float = 1.0
     """Width left out inside the outline of a face, where pixels see two surfaces. Chosen: several pixels."""
-    reach_mm: float = 1.0
-    """Distance from the true feature up to which a point is taken as measured on it. Chosen as the distance
-    of an outlier."""
+    reach_mm: float = 1.0  # from the true feature up to a point on it (chosen as the distance of an outlier)
     min_points: int = 50  # number of points on a feature (chosen)
     cells_per_face: int = 6  # cells along a face, within which errors correlate (chosen)
     fit_rounds: int = 20  # iterations of a robust fit (chosen)
     min_cap_cosine: float = 0.5
-    """Cosine of the angle between a sphere's normal and the direction to the camera: 60 degrees. Chosen."""
-    moved_points: int = 500
-    """Points of a face by which effects of a calibration are found, which change slowly over it. Chosen."""
+    """Between a sphere's normal and the direction to the camera: 60 degrees (chosen)"""
+    moved_points: int = 500  # points of a face by which effects of a calibration are found (chosen)
 
 
 LIMITS = LengthLimits()

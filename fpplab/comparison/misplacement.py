@@ -20,9 +20,8 @@ class MisplacementLimits:
     """Limits by which a mesh counts as misplaced."""
 
     min_distance: float = 2e-3
-    """Distance between cloud and mesh, in sizes of the mesh, beyond which an alignment is tried. Chosen."""
-    max_remaining_share: float = 0.2
-    """Share of that distance that may remain after the alignment, for it to be the explanation. Chosen."""
+    """Of cloud and mesh, in sizes of the mesh, beyond which an alignment is tried (chosen)"""
+    max_remaining_share: float = 0.2  # share of that distance that may remain after the alignment (chosen)
 
 
 LIMITS = MisplacementLimits()

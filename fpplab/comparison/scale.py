@@ -19,23 +19,14 @@ class ScaleLimits:
 
     points: int = 40_000  # points that the scale is fitted to, drawn at random (chosen)
     rounds: int = 20  # iterations of the fit (chosen)
-    converged_scale: float = 1e-9
-    """Change of the scale at which the fit has converged. Chosen: a thousandth of a ppm."""
+    converged_scale: float = 1e-9  # change of the scale (chosen: a thousandth of a ppm)
     cells_across: int = 12
-    """Cells of space across the diagonal of the mesh's bounding box, within which errors correlate.
-    Chosen."""
-    min_cells: int = 15
-    """Cells with points, for an uncertainty of the seven parameters. Chosen: about two for each."""
-    edge_spreads: float = 6.0
-    """Distance from an edge, in standard deviations of the residuals, within which points are left out.
-    Chosen."""
-    min_same_face_cosine: float = 0.95
-    """Cosine between two normals up to which their faces do not form an edge: 18 degrees. Chosen."""
-    min_own_share: float = 1e-6
-    """Share of the scale's effect on the residuals that no rigid motion has too; 0 on a plane. Chosen above
-    rounding."""
-    coverage: float = 3.0
-    """Standard uncertainties beyond which a deviation is taken as real. Chosen: 0.3 % by chance."""
+    """Cells of space across the mesh's diagonal, within which errors correlate (chosen)"""
+    min_cells: int = 15  # with points, for seven parameters (chosen: about two for each)
+    edge_spreads: float = 6.0  # standard deviations from an edge within which points are left out (chosen)
+    min_same_face_cosine: float = 0.95  # between normals of faces that form no edge: 18 degrees (chosen)
+    min_own_share: float = 1e-6  # of the scale's effect that no rigid motion has too (chosen above rounding)
+    coverage: float = 3.0  # standard uncertainties of a deviation that is real (chosen: 0.3 % by chance)
 
 
 LIMITS = ScaleLimits()

@@ -22,11 +22,9 @@ class UnitLimits:
     """Limits by which sizes are taken for those of another unit."""
 
     min_size_mm: float = MIN_SIZE_MM  # size of cloud and mesh below which they cannot be in mm
-    max_size_ratio: float = 50.0
-    """Ratio of the sizes of cloud and mesh beyond which they cannot be in the same unit. Chosen."""
+    max_size_ratio: float = 50.0  # of cloud and mesh, beyond which they cannot be in the same unit (chosen)
     usual_size_ratio: tuple[float, float] = (0.3, 3.0)
-    """Size of the cloud, in sizes of the mesh, that is usual: it may be of a part of the shape, or have
-    surroundings. Chosen."""
+    """Size of the cloud, in sizes of the mesh: a part of it, or with surroundings. Chosen."""
 
     def is_usual(self, ratio: float) -> bool:
         low, high = self.usual_size_ratio

@@ -22,7 +22,7 @@ class ArchiveLimits:
 
     always_allowed_bytes: int = 256_000_000  # bytes that any archive may unpack to (chosen)
     max_growth: int = 100
-    """By how many times a greater one may grow. Chosen: recorded images and maps grow by less than ten."""
+    """By how many times a greater one may grow (chosen: recorded images grow by less than ten)"""
 
 
 LIMITS = ArchiveLimits()

@@ -19,7 +19,7 @@ class BufferLimits:
     """Limits of the memory that is kept for reuse."""
 
     min_bytes: int = 1 << 22
-    """Smaller arrays come from the allocator, which reuses its memory itself. Chosen."""
+    """Smaller arrays come from the allocator, which reuses its memory itself (chosen)"""
     max_kept_bytes: int = min(3 << 30, psutil.virtual_memory().total // 6)
     """Unused memory that is kept. Chosen: what a measurement at twenty megapixels needs."""
     max_waste: int = 2  # how many times larger than needed a block may be (chosen)

@@ -29,8 +29,7 @@ class DoctorLimits:
     """Limits by which folders and disks are judged."""
 
     trial_bytes: int = 64 << 20  # how much is written to measure the speed of a disk (chosen)
-    min_bytes_per_s: float = 50e6
-    """Speed of a disk. Derived: 1.2 million pixels 40 times a second."""
+    min_bytes_per_s: float = 50e6  # speed of a disk (derived: 1.2 million pixels 40 times a second)
     min_free_bytes: int = 2 << 30  # free space (chosen: less holds no data set and few scans)
 
 

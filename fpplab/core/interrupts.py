@@ -23,8 +23,7 @@ from typing import Any
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """SIGHUP comes where the terminal, or the connection to it, is gone; Windows has none."""
 AGAIN_S = 0.02  # time in s after which an interruption that came at a bad moment is tried again (chosen)
-CLOSING_S = 3.0
-"""Time in s after an interruption in which others are ignored, while devices are closed (chosen)."""
+CLOSING_S = 3.0  # time in s in which others are ignored, while devices are closed (chosen)
 CANCELLED = 130  # exit code, as shells have it of programs that SIGINT ended: 128 and the signal's number, 2
 
 _interrupted: list[tuple[float, signal.Signals]] = []

@@ -24,43 +24,25 @@ class CameraSettings:
 
 @dataclass(frozen=True)
 class CameraCaps:
-    """What a camera can do; ranges are (minimum, maximum).
+    """What a camera can do; ranges are (minimum, maximum)."""
 
-    Attributes
-    ----------
-    size : tuple of int
-        (width, height) of its frames in px.
-    bits : tuple of int
-        Depths that its frames can have.
-    exposure_s : tuple of float
-        Range of exposures in s.
-    gain_db : tuple of float
-        Range of gains in dB.
-    triggers : tuple of str
-        Of `software` and `hardware`, whatever the input is called.
-    readout_s : float
-        s from the first row to the last, where they are exposed one after another (rolling shutter): what a
-        frame sees must stand still for the exposure and this. 0 where all rows are exposed simultaneously.
-    dark_s : float
-        The same, where rows begin together and only end one after another (global reset): no light may fall
-        for so long after the exposure, or the later rows have more of it.
-    period_s : float or None
-        Shortest time in s from one hardware trigger to the next at the present settings: a camera ignores one
-        that comes earlier. 0 where it is always ready; None where the camera does not report it.
-    offset : tuple of int or None
-        Column and row of the sensor where its frames begin, in px; None where the camera does not report it.
-        Images of another region have another calibration.
-    """
-
-    size: tuple[int, int]
-    bits: tuple[int, ...]
+    size: tuple[int, int]  # (width, height) of its frames in px
+    bits: tuple[int, ...]  # depths that its frames can have
     exposure_s: tuple[float, float]
     gain_db: tuple[float, float]
-    triggers: tuple[Trigger, ...]
+    triggers: tuple[Trigger, ...]  # whatever the input is called
     readout_s: float = 0.0
+    """From the first row to the last, where they are exposed one after another (rolling shutter): what a
+    frame sees must stand still for the exposure and this. 0 where all rows are exposed simultaneously."""
     dark_s: float = 0.0
+    """The same, where rows begin together and only end one after another (global reset): no light may fall
+    for so long after the exposure, or the later rows have more of it."""
     period_s: float | None = None
+    """Shortest time from one hardware trigger to the next at the present settings: a camera ignores one that
+    comes earlier. 0 where it is always ready; None where the camera does not report it."""
     offset: tuple[int, int] | None = None
+    """Column and row of the sensor where its frames begin, in px, since images of another region have another
+    calibration; None where the camera does not report it."""
 
     def __post_init__(self) -> None:
         for name in ("size", "bits", "exposure_s", "gain_db", "triggers"):
@@ -78,31 +60,14 @@ class CameraCaps:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One exposure: the sensor's raw integers, and where they come from.
+    """One exposure: the sensor's raw integers, and where they come from."""
 
-    Attributes
-    ----------
-    image : ndarray of uint8 or uint16, (height, width)
-        Raw integers, not shared: no later frame changes them.
-    index : int
-        The frame's number since `arm`, from 0, as the device counts, so that a gap is a lost frame;
-        acquisition makes it the plan's.
-    settings : CameraSettings
-        As they were read back.
-    host_time_s : float
-        When it arrived, by `time.time`.
-    device_time_s : float or None
-        By the device's clock; None where it has none.
-    pattern_id : str or None
-        What was on show, where the backend knows; acquisition fills it in otherwise.
-    """
-
-    image: Image
-    index: int
-    settings: CameraSettings
-    host_time_s: float
-    device_time_s: float | None = None
-    pattern_id: str | None = None
+    image: Image  # raw integers (height, width), not shared: no later frame changes them
+    index: int  # number since `arm`, as the device counts, so that a gap is a lost frame; then the plan's
+    settings: CameraSettings  # as they were read back
+    host_time_s: float  # when it arrived, by `time.time`
+    device_time_s: float | None = None  # by the device's clock; None where it has none
+    pattern_id: str | None = None  # what was on show, where the backend knows; acquisition fills it in
 
     def showing(self, pattern_id: str, index: int) -> Frame:
         """Name the frame as the picture of one pattern, the image `index` of its plan."""

@@ -18,40 +18,19 @@ from fpplab.patterns.fringes import Pattern
 
 @dataclass(frozen=True)
 class ProjectorCaps:
-    """What a projector can do.
+    """What a projector can do."""
 
-    Attributes
-    ----------
-    size : tuple of int
-        (width, height) in mirrors.
-    lattice : Lattice
-        How the mirrors lie.
-    bit_depths : dict of int to float
-        Depths that it can show, with the shortest exposure in s of each.
-    trigger_outputs : int
-        How many outputs give a pulse with each pattern; 0 where it cannot play.
-    max_patterns : int
-        How many it holds.
-    longest_s : float
-        Longest time in s for which a played pattern can be shown.
-    gap_s : float
-        Shortest time in s to the next played pattern, where that does not follow immediately.
-    period_s : float
-        s in which a pattern that is shown repeats, its bit planes one after another: an exposure sees them
-        completely if it lasts a whole number of these. 0 where light is steady, or where this is not known.
-    dark_between : bool
-        Whether it can be dark between played patterns.
-    """
-
-    size: tuple[int, int]
-    lattice: Lattice
-    bit_depths: dict[int, float]
-    trigger_outputs: int
-    max_patterns: int
-    longest_s: float = math.inf
-    gap_s: float = 0.0
+    size: tuple[int, int]  # (width, height) in mirrors
+    lattice: Lattice  # how the mirrors lie
+    bit_depths: dict[int, float]  # depths that it can show, with the shortest exposure in s of each
+    trigger_outputs: int  # how many outputs give a pulse with each pattern; 0 where it cannot play
+    max_patterns: int  # how many it holds
+    longest_s: float = math.inf  # for which a played pattern can be shown
+    gap_s: float = 0.0  # to the next played pattern, where that does not follow immediately
     period_s: float = 0.0
-    dark_between: bool = True
+    """Time in which a pattern that is shown repeats, its bit planes one after another: an exposure sees them
+    completely if it lasts a whole number of these. 0 where light is steady, or where this is not known."""
+    dark_between: bool = True  # whether it can be dark between played patterns
 
 
 @dataclass(frozen=True)

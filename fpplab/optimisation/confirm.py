@@ -25,9 +25,7 @@ class ConfirmationLimits:
 
     repeats: int = 5  # measurements of each artefact with each plan, by default (chosen)
     samples: int = 100_000  # pixels, and points of the true surface, that are compared (chosen)
-    calibration_draws: int = 8
-    """Calibrations drawn from the covariance. Derived: its part of the uncertainty is then known to a
-    quarter."""
+    calibration_draws: int = 8  # drawn from the covariance (derived: its part is then known to a quarter)
     first_seed: int = 1_000_000  # seed of the first repeat (chosen beyond all seeds that a search uses)
 
 

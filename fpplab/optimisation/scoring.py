@@ -40,14 +40,9 @@ from fpplab.reconstruction.triangulation import camera_rays, camera_slopes
 class ScoringLimits:
     """Sizes of the samples that a measurement is scored with."""
 
-    samples: int = 12_000
-    """Approximate number of pixels, and of points of the true surface, that are compared. Chosen."""
-    alignment_points: int = 4_000
-    """Approximate number of points by which the shape is aligned. Derived: its pose has about a thirtieth of
-    one point's noise."""
-    near_spacings: float = 2.0
-    """A point of the shape counts if a surface sample that counts lies within this many mean distances.
-    Chosen."""
+    samples: int = 12_000  # approximate number of pixels, and of points of the true surface (chosen)
+    alignment_points: int = 4_000  # approximate number (derived: a thirtieth of one point's noise is left)
+    near_spacings: float = 2.0  # of surface samples, within which a point of the shape counts (chosen)
 
 
 LIMITS = ScoringLimits()

@@ -38,8 +38,7 @@ class ScreeningLimits:
     rows: int = 14  # rows of such a part (chosen)
     border: int = 3  # rows and columns at each edge of a part that serve as neighbours alone (chosen)
     density_per_mm2: float = 60.0  # samples of the true surface (chosen: some thousands in each part)
-    max_sets: int = 8
-    """Fringe sets of a candidate, by which their noise is numbered: the greatest number in study files."""
+    max_sets: int = 8  # fringe sets by which noise is numbered: the greatest number in study files
     kept_sets: int = 32  # fringe sets whose patterns are kept in memory (chosen)
 
 

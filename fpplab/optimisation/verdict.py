@@ -29,16 +29,12 @@ class SearchVerdictLimits:
     """Limits by which the result of a search is judged."""
 
     significance: float = 2.0
-    """Standard uncertainties by which two figures must differ to count as different. Chosen: 5 % by
-    chance."""
-    min_neighbour_distance: float = 0.1
-    """Distance of neighbours, as a share of the ranges. Chosen: a search itself takes finer steps, whose
-    figures do not differ."""
+    """Standard uncertainties by which two figures must differ (chosen: 5 % by chance)"""
+    min_neighbour_distance: float = 0.1  # of neighbours, as a share of the ranges (chosen)
     max_failed_share: float = 0.5  # share of candidates that may fail (chosen)
     min_steps: int = 3
-    """Steps of a phase-shifted set. Derived: it has three unknowns, so that this bound cannot be widened."""
-    beyond_border: float = 0.05
-    """How far beyond a border the rig is asked whether it could go, as a share of the range. Chosen."""
+    """Of a phase-shifted set (derived: it has three unknowns, so this bound cannot be widened)"""
+    beyond_border: float = 0.05  # share of the range by which the rig is asked beyond a border (chosen)
 
 
 LIMITS = SearchVerdictLimits()

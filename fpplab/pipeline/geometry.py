@@ -19,8 +19,7 @@ from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.sessions.origin import check_region, foreign_calibration, taken_at
 from fpplab.sessions.session import Session
 
-SHOWN_CHANGES = 5
-"""Kinds of changes that are listed, those that cost most. Chosen."""
+SHOWN_CHANGES = 5  # kinds of changes that are listed, those that cost most (chosen)
 
 
 def geometry_check(

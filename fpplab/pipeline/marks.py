@@ -36,8 +36,7 @@ from fpplab.reconstruction.hidden_changes import sampled_points
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 
-DEPTH_MARGIN = 0.05
-"""How far marks may have moved, as a share of their depth, where fringe orders follow from it. Chosen."""
+DEPTH_MARGIN = 0.05  # how far marks may have moved, as a share of their depth (chosen)
 
 CONFIRM = "take a pose of the board, and 'fpplab characterise --judge CALIBRATION POSE --confirm'"
 

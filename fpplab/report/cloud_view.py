@@ -20,8 +20,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.drawing import as_png, colour_bar, single_axes
 from fpplab.report.wording import count_text
 
-MAX_POINTS = 60_000
-"""Points of a view (chosen: some megabytes); a page with several shares twice as many among them."""
+MAX_POINTS = 60_000  # of a view (chosen: some megabytes); a page with several shares twice as many
 TILT_DEG, TURN_DEG = 50.0, 25.0
 """The view at first: tilted away from the camera's own by this, and turned about the camera's axis."""
 FIELD_DEG = 30.0  # vertical field of view (chosen)

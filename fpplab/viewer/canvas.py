@@ -18,8 +18,7 @@ from fpplab.viewer.colours import ColourScale
 
 SHOWN_COLUMNS = 1600  # columns beyond which an image or map is subsampled before it is shown (chosen)
 MAX_POINTS = 300_000  # points beyond which a cloud is thinned before it is shown (chosen)
-MAX_RECORDING_BYTES = 128 * 2**20
-"""Size of a recording beyond which it gets no more images of single frames (chosen)."""
+MAX_RECORDING_BYTES = 128 * 2**20  # beyond which no more images of single frames are kept (chosen)
 BACKGROUND = (38, 41, 46)
 Opened = Literal["rig", "part"]  # scenes of the rig with all that is around it, and scenes of the part alone
 REACH: dict[Opened, str] = {"rig": "world/reach/rig", "part": "world/reach/part"}

@@ -13,8 +13,7 @@ from fpplab.viewer.server import ViewerPlace
 WAITING = "waiting"
 """Message in place of a method: answer now, and again whenever the operator has closed the view."""
 
-MAX_QUEUED = 32
-"""Messages that may wait (chosen to bound memory: each image has at most `SHOWN_COLUMNS` columns)."""
+MAX_QUEUED = 32  # messages that may wait (chosen to bound memory)
 
 
 @dataclass(frozen=True)

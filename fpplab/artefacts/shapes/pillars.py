@@ -15,8 +15,7 @@ from fpplab.core.conventions import TWO_PI, Floats
 if TYPE_CHECKING:
     import trimesh
 
-PILLAR_CORNERS = 64
-"""Corners of a pillar's outline: a multiple of four; the 64-gon's sagitta is 0.12 % of its radius."""
+PILLAR_CORNERS = 64  # of a pillar's outline, a multiple of four; the 64-gon's sagitta is 0.12 % of its radius
 
 
 @dataclass(frozen=True)

@@ -28,29 +28,18 @@ class SegmentationLimits:
 
     max_votes: int = 20_000  # points, drawn at random, that vote for a sphere's centre or a plane (chosen)
     vote_reach: float = 0.1  # distance in radii within which votes for a sphere's centre agree (chosen)
-    sphere_reach: float = 0.05
-    """Distance in radii within which a point counts as near the sphere while the sphere is searched.
-    Chosen."""
-    inner_radius: float = 0.7
-    """Distance in radii from the centre within which rays must meet the sphere for it to be accepted.
-    Chosen."""
-    min_near_share: float = 0.6
-    """Share of these rays' points that must lie near the sphere. Derived: of a plane that touches the sphere,
-    0.4 at most do."""
+    sphere_reach: float = 0.05  # distance in radii within which a point counts as near the sphere (chosen)
+    inner_radius: float = 0.7  # distance in radii from the centre within which rays must meet it (chosen)
+    min_near_share: float = 0.6  # of these rays' points (derived: of a plane that touches it, 0.4 at most)
     mean_shift_steps: int = 30  # iterations to the densest place of the votes (chosen)
-    cap_rings: int = 8
-    """Rings of equal solid angle that a cap is divided into, to determine how much of it was measured.
-    Chosen."""
+    cap_rings: int = 8  # rings of equal solid angle that a cap is divided into (chosen)
     cap_sectors: int = 24  # sectors of such a ring (chosen)
     plane_reach: float = 0.01
-    """Distance in lengths of the standard within which a point counts as near the plane. Chosen."""
-    plane_trials: int = 400
-    """Random samples of three points that a plane is searched with. Derived: a plane with a fifth of all
-    points is missed in 4 % of clouds."""
+    """Distance in lengths of the standard within which a point is near the plane (chosen)"""
+    plane_trials: int = 400  # random samples (derived: a plane with a fifth of all points is missed in 4 %)
     spacings_per_cell: float = 2.0  # side of a cell of the plane's raster, in point spacings (chosen)
     max_side_ratio: float = 1.05
-    """Ratio of the side of the plane that was found to the standard's, from which it is another plane.
-    Chosen."""
+    """Of the plane's side to the standard's; beyond, it is another plane (chosen)"""
 
 
 LIMITS = SegmentationLimits()

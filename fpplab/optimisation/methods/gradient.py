@@ -20,15 +20,9 @@ from fpplab.optimisation.space import Parameter
 class GradientLimits:
     """What the paper does not state of its descent."""
 
-    penalty: float = 10.0
-    """Penalty for a violation of 1 (see `CandidateRanking.violation`), as a multiple of the start's
-    objective. Chosen."""
-    max_step: float = 0.1
-    """Longest step, as a share of a parameter's range. Chosen: the slope of the penalty is much steeper than
-    others."""
-    halvings: int = 5
-    """Lengths of a step that are tried, each half of the one before, until a point can be measured.
-    Chosen."""
+    penalty: float = 10.0  # for a violation of 1, as a multiple of the start's objective (chosen)
+    max_step: float = 0.1  # share of a parameter's range (chosen: the slope of the penalty is steep)
+    halvings: int = 5  # lengths of a step that are tried, each half of the one before (chosen)
 
 
 LIMITS = GradientLimits()

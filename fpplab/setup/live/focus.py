@@ -13,8 +13,7 @@ from fpplab.core.conventions import Floats
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.setup.live.regions import REGIONS, region_medians, region_slices
 
-AT_BEST_SHARE = 0.98
-"""Share of the best measure from which on it is at its best (chosen): noise alone changes it as much."""
+AT_BEST_SHARE = 0.98  # of the best measure (chosen: noise alone changes it as much)
 
 
 @dataclass(frozen=True, eq=False)
