@@ -47,7 +47,6 @@ def strip_triangles(low: Floats, high: Floats) -> Floats:
 
 
 def closed_body(parts: Iterable[Floats]) -> trimesh.Trimesh:
-    """Join triangles to one mesh, merging corners that coincide."""
     # parts (m, 3, 3) mm
     import trimesh  # most of a second that listing names does not need
 

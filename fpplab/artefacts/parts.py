@@ -32,7 +32,6 @@ def load_part(path: Path) -> trimesh.Trimesh:
 
 
 def count_unpaired_edges(mesh: trimesh.Trimesh) -> int:
-    """Count the edges of a mesh that do not join two faces; a closed surface has none."""
     _, joins = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
     return int((joins != 2).sum())
 

@@ -25,7 +25,6 @@ class PlacedArtefact:
 
 
 def recognise(mesh: trimesh.Trimesh) -> PlacedArtefact | None:
-    """Recognise an artefact or standard of usual size by its mesh, wherever that is placed."""
     for shape in artefact_types().values():
         artefact = shape()
         drawn = np.asarray(artefact.mesh().triangles, np.float64).reshape(-1, 3)

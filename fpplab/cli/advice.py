@@ -81,14 +81,12 @@ FIELDS = {
 
 
 def missing_option(path: str, option: str, purpose: str = "") -> str:
-    """Say of a command that an option is missing, and where its value comes from, or what it is for."""
     if option in OPTION_HINTS or not purpose:
         return f"`{path}` needs {option}; {OPTION_HINTS.get(option, f'see `{path} --help`')}"
     return f"`{path}` needs {option}: {purpose}"
 
 
 def unknown_command(path: str, word: str, purposes: Mapping[str, str]) -> str:
-    """Say that there is no command of this name, and which one was probably meant."""
     # `purposes` has the first sentence of each command's help, by the command's name.
     reason = f"there is no command '{' '.join([*path.split()[1:], word])}'"
     lower = word.lower()
@@ -110,7 +108,6 @@ def unknown_command(path: str, word: str, purposes: Mapping[str, str]) -> str:
 
 
 def unknown_option(path: str, word: str, options: Sequence[str]) -> str:
-    """Say of an option that a command has none of this name, and which was probably meant."""
     reason = f"`{path}` has no option {word}"
     for option in OPTION_SYNONYMS.get(word, ()):
         if option in options:
@@ -122,6 +119,5 @@ def unknown_option(path: str, word: str, options: Sequence[str]) -> str:
 
 
 def closest_name(word: str, names: Sequence[str]) -> str | None:
-    """The name that is most like a word, or that the word begins."""
     begun = [name for name in names if len(word) > 2 and name.startswith(word)]
     return next(iter(begun or get_close_matches(word, names, n=1)), None)

@@ -137,7 +137,6 @@ def is_single_command(program: typer.Typer) -> bool:
 
 
 def sort_commands() -> None:
-    """Put the commands in the order of their headings, and of their names under each."""
     app.registered_commands.sort(
         key=lambda command: (PANELS.index(str(command.rich_help_panel)), command.name or "")
     )

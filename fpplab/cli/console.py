@@ -49,7 +49,6 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def progress(description: str) -> Iterator[Progress]:
-    """Show a progress bar on stderr while the work lasts; one line where stderr is no terminal."""
     start = time.perf_counter()
     try:
         with telling_progress(description) as (report, _):
@@ -86,7 +85,6 @@ def log_status(sentence: str) -> None:
 
 
 def print_result(result: dict[str, Any], as_json: bool, show: Callable[[], None] | None = None) -> None:
-    """Print the command's result: exactly one JSON object, or text for a person."""
     if as_json:
         sys.stdout.write(json.dumps(result, default=_plain, allow_nan=False) + "\n")
     elif show:
@@ -145,7 +143,6 @@ class CommandExit(SystemExit):
 
 
 def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
-    """Run a program's whole command and leave with the exit code of its fault, or 0."""
     # A foreseeable fault is one sentence on stderr (and `{"error": …}` on stdout with --json); SIGTERM is
     # treated like Ctrl-C, so that the bench is left safe.
     interrupts.watch_signals()

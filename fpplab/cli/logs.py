@@ -49,7 +49,6 @@ def start_logging(verbose: bool, file: Path | None, arguments: Sequence[str]) ->
 
 
 def stop_logging() -> None:
-    """Close what `start_logging` opened, and leave Python's logging as it was."""
     for handler in _installed:
         for name in LOGGERS:
             logging.getLogger(name).removeHandler(handler)

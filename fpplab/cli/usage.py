@@ -105,7 +105,6 @@ def _values(words: Sequence[str], option: str, count: int) -> list[str]:
 
 
 def _options_for(word: str) -> tuple[str, ...]:
-    """Which options a word may be for, by the file or the shipped configuration that it names."""
     path = Path(word)
     if path.exists():
         return OPTIONS_OF_KIND.get(describe_file(path) or "", ())
@@ -114,7 +113,6 @@ def _options_for(word: str) -> tuple[str, ...]:
 
 
 def missing_or_misplaced(path: str, option: str, words: Sequence[str], purpose: str = "") -> str:
-    """Say of a command that an option is missing, or that a word stands without it."""
     if stray := _misplaced_word(words, option):
         return f"`{path}` needs {option}; write {option} {stray}"
     return missing_option(path, option, purpose)
@@ -131,7 +129,6 @@ def _misplaced_word(words: Sequence[str], option: str) -> str | None:
 
 
 def _unexpected(path: str, extra: str, params: Sequence[Any], words: Sequence[str]) -> str:
-    """Say of words behind the last argument where they belong."""
     word = extra.split()[0]
     options = {name for each in params for name in each.opts}
     if option := next((each for each in _options_for(word) if each in options), None):

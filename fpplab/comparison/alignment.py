@@ -162,7 +162,6 @@ def refine_pose(
     rounds: int,
     full_weight_distance: float = 1e-9,
 ) -> tuple[RigidTransform, int]:
-    """Refine a pose by point-to-plane ICP with Huber's weights."""
     # points (N, 3) mm
     for done in range(rounds):
         distance, placed, normals = target.residuals(points, pose)
@@ -181,7 +180,6 @@ def refine_pose(
 
 
 def _axis_poses(points: Floats, mesh: trimesh.Trimesh, random: np.random.Generator) -> list[RigidTransform]:
-    """Compute the poses in which the cloud's principal axes coincide with the mesh's, centre on centre."""
     # The mesh's centre is that of its surface facing the camera, and the cloud is placed slightly in front of
     # it: from inside a plate, its wrong side would be as near as the right one.
     surface, faces = trimesh.sample.sample_surface(

@@ -85,7 +85,6 @@ Displacements = Callable[[Floats], Floats]
 
 
 def no_displacements(points: Floats) -> Floats:
-    """Take the calibration as exact."""
     # points (N, 3) mm; returns (N, 3, 0) mm
     return np.zeros((*points.shape, 0))
 
@@ -147,7 +146,6 @@ Distance = tuple[float, Floats, Floats, Floats]
 def _distance_of_planes(
     points: Floats, first: FlatFace, second: FlatFace, displacements: Displacements
 ) -> Distance | None:
-    """Fit two planes with a common normal."""
     on = [points[_on_face(points, face)] for face in (first, second)]
     if min(map(len, on)) < LIMITS.min_points:
         return None
@@ -172,7 +170,6 @@ def _distance_of_planes(
 def _distance_of_corners(
     points: Floats, first: Corner, second: Corner, displacements: Displacements
 ) -> Distance | None:
-    """Fit the planes of two corners, each face once."""
     faces = list(dict.fromkeys([*first.faces, *second.faces]))
     fits = [_fit_plane(points, face, displacements) for face in faces]
     if any(fit is None for fit in fits):
@@ -209,7 +206,6 @@ def _corner(planes: list[tuple[FlatFace, Floats]]) -> Floats:
 
 
 def _fit_plane(points: Floats, face: FlatFace, displacements: Displacements) -> Estimate | None:
-    """Fit the slopes along a face's two axes and the offset along its normal."""
     on = points[_on_face(points, face)]
     along = (on - face.origin) @ face.axes.T
     if len(along) < LIMITS.min_points:
@@ -222,7 +218,6 @@ def _fit_plane(points: Floats, face: FlatFace, displacements: Displacements) -> 
 def _fit_centre(
     points: Floats, camera: Floats, sphere: SphereFace, displacements: Displacements
 ) -> Estimate | None:
-    """Fit the centre of a sphere of free radius to its cap."""
     away = points - sphere.centre
     reach = np.linalg.norm(away, axis=1)
     view = (camera - sphere.centre) / np.linalg.norm(camera - sphere.centre)

@@ -55,7 +55,6 @@ class FittedScale:
 
 
 def fit_scale(points: Floats, target: AlignmentMesh, seed: int = 0) -> FittedScale | None:
-    """Fit a similarity to points that are already aligned rigidly."""
     # points (N, 3) mm
     if len(points) > LIMITS.points:
         points = points[np.random.default_rng(seed).choice(len(points), LIMITS.points, replace=False)]

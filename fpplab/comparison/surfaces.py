@@ -74,7 +74,6 @@ def _walk(
 
 @njit(inline="always")
 def _square_to_segment(px: float, py: float, pz: float, dx: float, dy: float, dz: float) -> float:
-    """Compute the squared distance of a point from the segment from the origin to d."""
     along = (px * dx + py * dy + pz * dz) / max(dx * dx + dy * dy + dz * dz, 1e-300)
     along = min(max(along, 0.0), 1.0)
     rx, ry, rz = px - along * dx, py - along * dy, pz - along * dz

@@ -59,7 +59,6 @@ def check_units(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> None:
 
 
 def _fits(points: Floats, mesh: trimesh.Trimesh, seed: int) -> bool:
-    """Tell whether nearly all points lie on the mesh, as it is placed or after an alignment."""
     chosen = np.random.default_rng(seed).permutation(len(points))[: ALIGNMENT.coarse_points]
     if _lie_on(points[chosen], mesh):
         return True

@@ -21,13 +21,11 @@ class RayTracedShape:
         TriangleMesh(self._scene, self.triangles.astype(np.float32))
 
     def facing(self, centre: Floats) -> Mask:
-        """Find the faces whose outward side is towards a point."""
         # centre (3,) mm; returns (F,)
         towards = np.asarray(centre) - self.triangles[:, 0]
         return np.asarray(np.einsum("ij,ij->i", towards, self.normals) > 0.0)
 
     def inclination_deg(self, centre: Floats, points: Floats, faces: NDArray[np.int64]) -> Floats:
-        """Compute the angles between lines of sight and outward normals."""
         # centre (3,) mm; points (N, 3) mm; faces (N,); returns (N,) degrees
         towards = np.asarray(centre) - points
         cosine = np.einsum("ij,ij->i", towards, self.normals[faces]) / np.linalg.norm(towards, axis=1)
@@ -38,14 +36,12 @@ class RayTracedShape:
         return np.asarray(self._scene.run(*_rays(centre, directions), query="INTERSECT"), np.int64)
 
     def depth(self, centre: Floats, directions: Floats) -> Floats:
-        """Compute the distances along rays to the surface."""
         # centre (3,) mm; directions (N, 3); returns (N,) mm
         # For a miss the bindings return the ray's initial length, which is huge.
         hits = self._scene.run(*_rays(centre, directions), query="DISTANCE")
         return np.where(hits < 1e30, hits, np.inf).astype(np.float64)
 
     def unoccluded(self, centre: Floats, points: Floats) -> Mask:
-        """Find the points that have a free line of sight to a centre."""
         # centre (3,) mm; points (N, 3) mm; returns (N,)
         rays = points - centre
         lengths = np.linalg.norm(rays, axis=1)
@@ -54,6 +50,5 @@ class RayTracedShape:
 
 
 def _rays(centre: Floats, directions: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Convert to origins and directions (N, 3) of rays, as the bindings need them."""
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
     return np.ascontiguousarray(origins), directions.astype(np.float32)

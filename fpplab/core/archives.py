@@ -41,7 +41,6 @@ def check_archive(archive: zipfile.ZipFile, size: int) -> None:
 
 
 def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Read what stands before the values of an NPY file."""
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     version: tuple[int, int] = np.lib.format.read_magic(stream)  # type: ignore[no-untyped-call]
     if version not in readers:

@@ -35,7 +35,6 @@ _lock = threading.Lock()
 
 
 def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArray[Any]:
-    """Give an array whose values are not set, as `np.empty` does."""
     kind = np.dtype(dtype)
     count = math.prod(shape) if isinstance(shape, tuple) else shape
     size = count * kind.itemsize

@@ -10,7 +10,6 @@ from fpplab.core.conventions import Floats
 
 @njit(cache=True, error_model="numpy")
 def solve_positive(matrix: Floats, right: Floats, damping: float, solution: Floats) -> bool:
-    """Solve normal equations by Cholesky's method."""
     # matrix (n, n); right (n,); solution (n,)
     n = len(right)
     lower = np.zeros((n, n))

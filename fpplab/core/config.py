@@ -136,7 +136,6 @@ _UNIT = re.compile(r"_(s|ms|us|mm|cm|m|um|px|deg|db|hz)$")
 
 
 def _meant_key(field: str, model: type[Document]) -> str | None:
-    """Find the key of a document that is most like one that it has not, apart from a unit."""
     word, names = field.rpartition(".")[2], set[str]()
     remaining: list[Any] = [model.model_json_schema()]
     while remaining:
@@ -217,7 +216,6 @@ def _shown(value: Any) -> str:
 
 
 def dump(document: Document) -> str:
-    """Write a document as YAML text that `load_document` reads back."""
     return to_yaml(plain(document))
 
 
@@ -247,7 +245,6 @@ def shipped_configs(kind: ConfigKind | None = None) -> list[str]:
 
 
 def find_config(name: str | Path, kind: ConfigKind | None = None) -> Path:
-    """Find a configuration by path, or by name among those that come with fpplab."""
     # Looks at the path itself, then in the installed package, then next to the checkout.
     path = Path(name)
     if path.exists():

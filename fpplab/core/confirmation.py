@@ -18,7 +18,6 @@ class ConfirmationRequired(StrEnum):
 
 
 def confirm_in_advance(operations: Iterable[ConfirmationRequired]) -> None:
-    """Confirm these operations, and no others, for the rest of this process."""
     _confirmed.clear()
     _confirmed.update(operations)
 
@@ -28,7 +27,6 @@ def can_confirm(operation: ConfirmationRequired) -> bool:
 
 
 def confirm(operation: ConfirmationRequired, consequence: str) -> bool:
-    """Ask the user to confirm an operation, unless that was done in advance."""
     if operation in _confirmed:
         return True
     if not _has_terminal():

@@ -68,7 +68,6 @@ def phase_of_coordinate(coordinate: Floats, stripes: float, length: int) -> Floa
 
 
 def phase_steps(steps: int) -> Floats:
-    """Compute the phase shifts `δ_n = 2π n/N`."""
     # Equal fractions n/N give identical numbers, such as 1/6 and 2/12.
     # returns (steps,) rad
     return TWO_PI * (np.arange(steps) / steps)

@@ -49,7 +49,6 @@ P = ParamSpec("P")
 
 
 def as_png(draw: Callable[P, Figure]) -> Callable[P, bytes]:
-    """Decorate a drawing function: apply the common style and return the PNG file."""
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> bytes:
@@ -119,7 +118,6 @@ def draw_map(
     extent: tuple[float, float, float, float] | None = None,
     background: bool = True,
 ) -> ScalarMappable:
-    """Draw a map, subsampled to about `MAX_COLUMNS` columns."""
     # extent (left, right, bottom, top) in px
     height, width = values.shape
     step = display_stride(values.shape)

@@ -216,12 +216,10 @@ def _cannot_write(path: Path, error: OSError) -> str:
 
 
 def need_suffix(path: Path, *allowed: str) -> None:
-    """Refuse an output whose suffix does not say what it will hold."""
     if path.suffix.lower() not in allowed:
         raise ConfigError(f"{path}: its name must end in {' or '.join(allowed)}")
 
 
 def refuse_existing(path: Path, force: bool) -> None:
-    """Refuse an output that exists, unless it may be replaced."""
     if path.exists() and not force:
         raise ConfigError(f"{path}: exists already; name another output, or add --force to replace it")

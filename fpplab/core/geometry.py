@@ -144,7 +144,6 @@ class Pinhole:
         return float(1.0 / np.sqrt(ends.max())) if ends.size else np.inf
 
     def cropped(self, corner: tuple[int, int], size: tuple[int, int]) -> Pinhole:
-        """Make the device of an image region: the same rays, pixels counted from its corner."""
         # size (width, height) px
         matrix = self.matrix.copy()
         matrix[:2, 2] -= corner

@@ -42,6 +42,5 @@ class Origin(Document):
 
     @classmethod
     def now(cls, **more: object) -> Self:
-        """Make the origin of something that is made now, by this program, on this computer."""
         made = datetime.now(UTC).replace(microsecond=0)
         return cls.model_validate({"made": made, "host": platform.node(), "version": __version__, **more})

@@ -21,7 +21,6 @@ none with two degrees of freedom or fewer."""
 
 
 def robust_spread(residuals: Floats, min_spread: float = NEGLIGIBLE_RESIDUAL) -> float:
-    """Estimate the standard deviation of residuals by the median of their sizes."""
     return max(1.4826 * float(np.median(np.abs(residuals))), min_spread)
 
 

@@ -19,7 +19,6 @@ SUMMARY = "summary"  # the table of an answer's single values
 
 
 def write_csv(path: Path, rows: Iterable[Row]) -> None:
-    """Write rows as CSV (RFC 4180, UTF-8): the file is complete or unchanged."""
     write_text(path, csv_text(rows))
 
 

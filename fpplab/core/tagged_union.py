@@ -51,7 +51,6 @@ class TaggedUnion:
 
 
 def registered_types(base: type[BaseModel]) -> dict[str, type[BaseModel]]:
-    """Collect the concrete subclasses of a family's base class that are defined so far."""
     members: dict[str, type[BaseModel]] = {}
     for member in concrete_subclasses(base):
         field = member.model_fields.get("kind")
@@ -64,7 +63,6 @@ def registered_types(base: type[BaseModel]) -> dict[str, type[BaseModel]]:
 
 
 def concrete_subclasses(base: type[T]) -> list[type[T]]:
-    """Collect the classes below a base class that can be made, those below them too."""
     subclasses: dict[type[T], None] = {}
     waiting = [base]
     while waiting:
@@ -75,7 +73,6 @@ def concrete_subclasses(base: type[T]) -> list[type[T]]:
 
 
 def import_members(package_name: str, package_path: Iterable[str]) -> None:
-    """Import every module of a package, so that the classes in them are defined."""
     # Called in the package's ``__init__`` as ``import_members(__name__, __path__)``. Packages inside it are
     # imported too, but not searched further.
     for module in sorted(iter_modules(package_path), key=lambda info: info.name):

@@ -112,7 +112,6 @@ def load_backend(name: str, rig_file: Path | str, section: str) -> type[Any]:
 
 
 def _why_not(module: str, attribute: str) -> str:
-    """Why a module may not be imported, and how it may."""
     announced = [
         entry.value.partition(":")[2] for entry in _announced() if entry.value.startswith(f"{module}:")
     ]
@@ -141,14 +140,12 @@ def _resolve_class_path(name: str, error_prefix: str) -> str:
 
 
 def _announced() -> list[EntryPoint]:
-    """Backends that installed packages announce, fpplab's own first."""
     return sorted(
         entry_points(group=BACKENDS), key=lambda entry: not entry.value.startswith(tuple(_own_packages()))
     )
 
 
 def _own_packages() -> list[str]:
-    """The packages of fpplab as they are called here."""
     return ["fpplab", *(new if find_spec(new) else old for old, new in IN_WHEELS.items())]
 
 

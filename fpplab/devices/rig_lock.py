@@ -52,7 +52,6 @@ class RigTurn:
         return lock_owner(_lock_path(self._lock_stem, "wanted"))
 
     def take(self) -> bool:
-        """Take the rig, if no other command wants or has it."""
         if self._used is None and not self.is_requested():
             self._used = _open_and_try_lock(self._lock_stem, "used")
         return self.is_mine
@@ -66,7 +65,6 @@ class RigTurn:
 
 @contextmanager
 def watching_rig(source: Path | str) -> Iterator[RigTurn]:
-    """Watch a rig, in turn with commands that measure with it."""
     lock_stem = _lock_stem_of(source)
     handle = _open_and_try_lock(lock_stem, "watched")
     if handle is None:
@@ -115,7 +113,6 @@ def _acquire_shared_lock(handle: int, lock_stem: Path, rig_file: Path | str) -> 
 
 
 def _lock_stem_of(source: Path | str) -> Path:
-    """The common beginning of a rig's lock files."""
     folder = Path(tempfile.gettempdir()) / f"fpplab-rigs-{USER}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)

@@ -136,7 +136,6 @@ class StageCalibrations:
 
 
 def turn_projector(calibration: Calibration, convergence_deg: float) -> Calibration:
-    """Rotate the projector of a calibration towards the camera, about its own centre."""
     pose = turned_towards(calibration.T_projector_camera, float(np.radians(convergence_deg)))
     return replace(calibration, T_projector_camera=pose, uncertainty=None)
 

@@ -74,7 +74,6 @@ class CandidateRunner:
         return self.ranking.front(self.trials)
 
     def is_feasible(self, point: Point) -> bool:
-        """Check whether the rig and the study allow a point, without measuring it."""
         # If not, the refusal is counted in `refused`.
         refused = self._candidate_to_measure(point).refused
         if refused:
@@ -99,7 +98,6 @@ class CandidateRunner:
         return epoch
 
     def rescore(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> list[tuple[Score, ...]]:
-        """Measure candidates with seeds other than the study's, for figures that no choice was based on."""
         measured = iter(self._outcomes([(candidate, seed) for candidate in candidates for seed in seeds]))
         scores = []
         for _ in candidates:

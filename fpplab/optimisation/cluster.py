@@ -165,7 +165,6 @@ def _restore_environment(mine: dict[str, str | None]) -> None:
 
 
 def start_processes(workers: int, listen: Meeting | None = None) -> Any:
-    """Start a scheduler, for this process or for other computers, and workers that share the cores here."""
     import distributed
 
     library: Any = distributed
@@ -190,7 +189,6 @@ def _threads_of(workers: int) -> dict[str, str]:
 
 @contextmanager
 def serve_scheduler(address: str, certificate: Path | None, workers: int) -> Iterator[str]:
-    """Serve a scheduler with workers on this computer; gives the address at which others join it."""
     need_extra("distributed")
     meeting = Meeting.at(address, certificate)
     with dask_settings():
@@ -204,7 +202,6 @@ def serve_scheduler(address: str, certificate: Path | None, workers: int) -> Ite
 
 
 def run_workers(address: str, certificate: Path | None, workers: int) -> None:
-    """Measure for a scheduler with worker processes until it ends."""
     need_extra("distributed")
     meeting = Meeting.at(address, certificate)
     meeting.client().close()

@@ -142,7 +142,6 @@ def _sampled_calibrations(calibrations: StageCalibrations) -> list[StageCalibrat
 
 
 def _check_comparable(before: Plan, after: Plan) -> None:
-    """Refuse plans that differ in more than a candidate can: `ConfigError`."""
     other = candidate_from_plan(after).plan(before)
     for name in type(before).model_fields:
         if name != "fringes" and getattr(other, name) != getattr(after, name):

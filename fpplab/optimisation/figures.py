@@ -76,7 +76,6 @@ class MeasuredCandidate:
 
     @cached_property
     def figures(self) -> CandidateFigures:
-        """Mean figures; only of one that was measured."""
         return CandidateFigures.of(self.scores)
 
     @property

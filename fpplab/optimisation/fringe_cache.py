@@ -108,7 +108,6 @@ def _frame_bytes(sets: dict[int, list[Image]]) -> int:
 
 
 def noise_numbers(key: _Key, steps: int) -> list[int]:
-    """Compute the number that seeds the noise of each image of a set."""
     # It depends neither on the stripe count nor on the number of steps, so that similar candidates have equal
     # noise.
     return [

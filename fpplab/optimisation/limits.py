@@ -55,7 +55,6 @@ class RigLimits:
         return 1.0 / (self.exposure_s[0] + self.dead_time_s)
 
     def max_stripes(self, axis: Axis, pixels_per_period: float) -> float:
-        """Compute the highest stripe count for which periods are long enough."""
         return axis_length(self.size, axis) / pixels_per_period
 
     def refusals(self, candidate: Candidate, pixels_per_period: float = 2.0) -> Iterator[str]:

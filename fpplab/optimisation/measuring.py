@@ -54,7 +54,6 @@ class RigEvaluator:
         return self._rig.described(), SessionOrigin.of(self._rig)
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
-        """Measure every artefact of the study, and compare it after aligning the true shape to the cloud."""
         return tuple(self._measure_and_score(name, candidate, seed) for name in self._problem.artefacts)
 
     def figures(
@@ -155,7 +154,6 @@ class RigEvaluator:
         return self._placed[name]
 
     def _locate_by_measurement(self, name: str, mesh: trimesh.Trimesh) -> RigidTransform:
-        """Find a pose that the fixture does not know, by a measurement with the plan of the start."""
         calibration = self.calibrations.at(self._first.stage_mm)
         decoded = self._take_and_decode(name, self._first, self._problem.seeds[0], calibration)
         _, cloud = points_of(decoded, calibration, self._problem.start)
@@ -174,7 +172,6 @@ class RigEvaluatorFactory:
 
 
 def possible_coordinates(plan: Plan, calibration: Calibration, rig: Rig) -> DecodingBounds:
-    """Bound projector coordinates by the range of depths."""
     depth = first_stated(
         (plan.depth_mm, "plan: 'depth_mm'"), (rig.file.depth_mm, f"{rig.source}: 'depth_mm'")
     )

@@ -37,7 +37,6 @@ def make_optuna_study(runner: CandidateRunner, sampler: Any) -> Any:
 
 
 def enqueue_points(study: Any, runner: CandidateRunner, points: Sequence[Point]) -> None:
-    """Have points proposed before any that the sampler chooses."""
     for point in points:
         named = zip(runner.space.parameters, point, strict=True)
         study.enqueue_trial({p.name: int(v) if p.is_integer else v for p, v in named})

@@ -24,7 +24,6 @@ class CandidateRanking:
 
     @cached_property
     def objectives(self) -> tuple[Objective, ...]:
-        """What the problem asks for, the most important first."""
         registered = registered_objectives()
         return tuple(registered[key] for key in self.problem.objectives)
 

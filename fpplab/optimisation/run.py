@@ -191,7 +191,6 @@ def _save_plans_and_calibration(
 
 
 def plan_text(study: Study, rig: str, trial: MeasuredCandidate) -> str:
-    """Write a candidate's plan as a file for `fpplab scan`, with what it achieved as a comment."""
     figures, candidate = trial.figures, trial.candidate
     head = [
         f"# Found by the study '{study.name}' on '{rig}': {figures.surface_smcd_um:.2f} µm mean distance to "

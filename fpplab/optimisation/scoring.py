@@ -84,7 +84,6 @@ class TrueShape:
         self._expected: tuple[Calibration, ProjectorCoordinateBounds] | None = None
 
     def part(self, camera: Pinhole, corner: tuple[int, int], border: int) -> TrueShape:
-        """Make the shape as a part of the camera's image sees it, compared at all of its pixels."""
         part, (left, top), (width, height) = copy(self), corner, camera.size
         for computed in ("_tree", "floor_um"):
             vars(part).pop(computed, None)
@@ -108,7 +107,6 @@ class TrueShape:
 
     @property
     def visible(self) -> Mask:
-        """Pixels (height, width) that see the shape."""
         return self._on_shape
 
     @property

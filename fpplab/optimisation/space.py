@@ -47,7 +47,6 @@ class Parameter:
         return self.rounded(value)
 
     def rounded(self, value: float) -> float:
-        """Round a value to an integer, to the grid, or to a few decimals, within the range."""
         if self.is_integer:
             return float(round(value))
         if self.grid_step is not None:
@@ -120,7 +119,6 @@ class SearchSpace:
 
 
 def _template_candidate(problem: SearchProblem, source: str) -> Candidate:
-    """Make the start with the greatest number of sets. Raises `ConfigError` when it cannot start a search."""
     plan, space = problem.start, problem.space
     if not unwrapping_methods()[plan.unwrapping].guided:
         check_unwrapping(plan, source)  # a guided one is checked where the calibration is known

@@ -52,7 +52,6 @@ def _method_kinds(several_objectives: bool) -> str:
 
 
 def _resolve_plan_and_paths(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Put the start's plan in place, and make the paths of files in the study's folder absolute."""
     data = dict(data)
     if isinstance(data.get("board"), dict):
         data["board"] = {

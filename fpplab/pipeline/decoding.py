@@ -24,7 +24,6 @@ def checked_recording(
     *,
     as_recorded: bool = False,
 ) -> Recording:
-    """Read the frames of a session of the calibration's rig, in step with their plan."""
     # `depth_mm` replaces the range of depths that plan or rig state.
     given = given_depth(depth_mm)
     calibration.check_camera(session.format[:2], session.path)

@@ -51,7 +51,6 @@ class Rule(IntEnum):
 def apply_filter(
     decoded: Decoded, cloud: Cloud, plan: Plan, projector_size: tuple[int, int]
 ) -> tuple[Decoded, Cloud]:
-    """Apply the plan's filter to decoded maps and their cloud."""
     # A plan with an order vote has biased coarse fringe sets: the contradiction rule is not applied then.
     # projector_size (width, height) px
     rules = plan.filter

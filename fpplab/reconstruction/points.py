@@ -20,7 +20,6 @@ from fpplab.reconstruction.triangulation import DecodedMaps, coded_maps, solve_p
 def points_of(
     decoded: Decoded, calibration: Calibration, plan: Plan, texture: NDArray[np.uint8] | None = None
 ) -> tuple[Decoded, Cloud]:
-    """Triangulate, and filter as the plan says."""
     # texture (height, width)
     cloud = triangulate(decoded, calibration, texture, normals=plan.filter is None)
     return apply_filter(decoded, cloud, plan, calibration.projector.size)
@@ -32,7 +31,6 @@ def triangulate(
     texture: NDArray[np.uint8] | None = None,
     normals: bool = True,
 ) -> Cloud:
-    """Intersect camera rays with the projector's coordinate surfaces."""
     # Where two axes are coded a pixel needs both, and each is weighted by its inverse variance. Left out are
     # points behind a device, outside the projector's image or where its distortion folds back, and pixels
     # without a solution.
@@ -60,7 +58,6 @@ def triangulate(
 
 
 def cost_at_edges(decoded: Decoded, cloud: Cloud) -> dict[str, Any] | None:
-    """Tell how many points edges of reflectivity displace, by how many µm, and if it was corrected."""
     blur = decoded.edges
     if blur is None or cloud.sigma_noise_mm is None:
         return None

@@ -17,7 +17,6 @@ _RowStarts = NDArray[np.int64]
 def mark_small_regions(
     w: Map, across: Mask, down: Mask, min_pixels: int, removed: NDArray[np.uint8], mark: int
 ) -> None:
-    """Mark the pixels of connected regions that have too few."""
     # w (height, width); across, down (height, width); removed (height, width)
     counts = np.zeros(len(w), np.int64)
     _find_runs(w, across, True, counts, np.empty((0, 2), np.int32))

@@ -98,7 +98,6 @@ class Solutions(NamedTuple):
 
 
 def coded_maps(decoded: DecodedMaps, texture: NDArray[np.uint8] | None = None) -> CodedMaps:
-    """Collect what is known of every pixel, as arrays that kernels take."""
     # texture (height, width)
     use_u, use_v = any_known(decoded.u), any_known(decoded.v)
     if not (use_u or use_v):
@@ -172,7 +171,6 @@ def _kept(values: NDArray[T], solved: Mask) -> NDArray[T]:
 
 
 def camera_slopes(camera: Pinhole) -> Floats:
-    """Compute the ray slopes of every pixel's centre."""
     # The inverse of the distortion to `PIXEL_TOLERANCE`; the last results are cached.
     # returns (2, height, width)
     key = (camera.size, camera.matrix.tobytes(), camera.distortion.tobytes())

@@ -90,7 +90,6 @@ def _rigid_part(modes: ErrorModes, sample: Floats, centre: Floats) -> Floats:
 
 
 def rigid_motions(points: AnyPoints) -> Floats:
-    """Give the displacement of points by small translations and rotations."""
     # points (N, 3) mm; returns (N, 3, 6) mm
     x, y, z = points.T
     motions = np.zeros((len(points), 3, 6))

@@ -160,7 +160,6 @@ def _plane_section(plane: PlaneTest, number: int) -> ReportSection:
 
 @as_png
 def sphere_errors(spheres: tuple[SphereTest, SphereTest]) -> Sheet:
-    """Draw both spheres of a ball bar, on one colour scale of signed errors, without discarded points."""
     # The colours span ± the 98th percentile of the absolute error, which the colour bar states.
     drawn = [_Drawn.of(test.measured) for test in spheres]
     limit = error_limit(1e3 * np.concatenate([distances for _, distances in drawn]))

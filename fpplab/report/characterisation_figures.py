@@ -87,7 +87,6 @@ def _by_pose(axes: Axes, names: Sequence[str], poses: Sequence[Floats], reach: f
 
 @as_png
 def scales_by_pose(characterisation: Characterisation) -> Figure:
-    """Draw the scale of the camera's image in each pose, which a lens that is not locked changes."""
     assert characterisation.solution is not None
     assert characterisation.sizes is not None
     scales, sigmas = scales_of_poses(
@@ -108,7 +107,6 @@ def scales_by_pose(characterisation: Characterisation) -> Figure:
 
 @as_png
 def board_shape(characterisation: Characterisation) -> Figure:
-    """Draw the refined board: height above the drawn plane as a map, displacement within it as arrows."""
     place, deviation = board_deviation(characterisation)
     (x, y), along, height = place[:, :2].T, deviation[:, :2], deviation[:, 2]
     sides = np.ptp(place[:, :2], axis=0)

@@ -26,7 +26,6 @@ def write_check_report(path: Path, result: CheckResult) -> None:
 
 
 def write_check_pictures(out: Path, result: CheckResult) -> tuple[Path, ...]:
-    """Write a picture of what shows each finding, numbered as they are ranked, and of the levels seen."""
     evidence = evidence_of(result)
     levels = marker_levels(result.check.shown, evidence.runs) if evidence.runs else None
     if out.suffix == ".png":

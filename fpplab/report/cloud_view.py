@@ -204,7 +204,6 @@ def _pack_points(cloud: Cloud, quantities: list[CloudQuantity]) -> bytes:
 
 @as_png
 def _draw_first_view(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius: float) -> Figure:
-    """The first view, painted from the farthest point to the nearest."""
     figure, axes = single_axes(9.6, 5.4)
     axes.imshow(_point_colours(cloud, quantity, centre, radius), interpolation="nearest")
     axes.set_axis_off()

@@ -42,7 +42,6 @@ def write_page(
     written_at: datetime | None = None,
     verdicts_and_sources: PageBasis | None = None,
 ) -> None:
-    """Write verdicts, tables and sections as one HTML file. If it fails, an earlier file is unchanged."""
     page_basis = verdicts_and_sources or PageBasis()
     environment = _environment()
     viewed = any(section.views for section in sections)
@@ -110,7 +109,6 @@ def _provenance_table(sources: Mapping[str, Provenance]) -> ReportTable:
 
 
 def _as_json(title: str, basis: PageBasis, tables: Sequence[ReportTable]) -> str:
-    """The command's answer, the provenance, and the tables of the page."""
     return json.dumps(
         {
             "title": title,

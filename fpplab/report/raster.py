@@ -81,7 +81,6 @@ def block_mean(values: Map, columns: int) -> Map:
 
 
 def _bounds_without_outliers(columns: NDArray[Any], rows: NDArray[Any]) -> tuple[float, float, float, float]:
-    """Left, top, right and bottom of the middle 99 %, with a margin."""
     (left, right), (top, bottom) = (np.percentile(c, (0.5, 99.5)) for c in (columns, rows))
     margin = 0.04 * max(right - left, bottom - top)
     return (

@@ -103,7 +103,6 @@ def response_fit(response: Response) -> Figure:
 
 
 def _region_exponents(axes: Axes, response: Response) -> None:
-    """Exponent of every region with two standard uncertainties, and that of the common fit as a band."""
     names = [f"{r.row + 1}, {r.column + 1}" for r in response.regions]
     place = np.arange(len(names))
     reach = 2 * response.sigma[2]

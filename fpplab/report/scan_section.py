@@ -69,7 +69,6 @@ class ScanSection:
 
 
 def scan_tables(scans: Sequence[ScanSection]) -> list[ReportTable]:
-    """Tabulate the figures of scans, those with a true shape apart from those without."""
     tables = []
     compared = tuple(_compared_row(s, s.cloud, s.comparison) for s in scans if s.cloud and s.comparison)
     if compared:
@@ -231,7 +230,6 @@ def lengths_tables(comparison: Comparison) -> tuple[ReportTable, ...]:
 
 
 def _uncertain_text(causes: dict[str, int], pixels: int) -> str:
-    """How many pixels uncertain orders have cost, and by which fringe set."""
     if not causes:
         return " No pixel was left out for an uncertain fringe order."
     listed = ", ".join(f"{name} {count_text(count)}" for name, count in causes.items())

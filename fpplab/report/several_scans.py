@@ -90,7 +90,6 @@ def _surfaces_section(scans: Sequence[ScanRecord]) -> ReportSection:
 
 
 def _map_sections(scans: Sequence[ScanRecord]) -> list[ReportSection]:
-    """Maps of one quantity side by side, on one scale of colours."""
     depths = {scan.name: (scan.cloud, scan.cloud.points[:, 2]) for scan in scans if scan.cloud}
     sigmas = {
         scan.name: (scan.cloud, 1e3 * sigma)

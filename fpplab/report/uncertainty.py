@@ -83,7 +83,6 @@ def shape_sigma_mm(cloud: Cloud) -> CloudPoints | None:
 
 
 def _why_unknown(plan: Plan | None) -> str:
-    """Why the errors that all points of one phase share are not known."""
     shared = "Phase error, which all points of one phase share, is not known and in no figure here: "
     steps = (
         "the plan has three steps only, and no second fringe set of four stripes or more to compare with; "

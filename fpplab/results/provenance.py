@@ -206,12 +206,10 @@ def plan_description(plan: Plan) -> str:
 
 
 def local_time(when: datetime) -> str:
-    """Write a time as people read it, in the time zone of this computer."""
     return when.astimezone().strftime("%Y-%m-%d %H:%M:%S %Z").strip()
 
 
 def duration_text(length: timedelta) -> str:
-    """Write a duration in its two greatest units."""
     remaining = length.total_seconds()
     if remaining < 60:
         return f"{remaining:.1f} s"

@@ -80,7 +80,6 @@ class CloudDifference:
 
 
 def plan_differences(scans: Sequence[ScanRecord]) -> dict[str, dict[str, str]]:
-    """Find what plans differ by: values by scan, by what is not the same in all."""
     terms = {scan.name: _plan_terms(scan.plan) for scan in scans if scan.plan is not None}
     names = dict.fromkeys(name for values in terms.values() for name in values)
     rows = {name: {scan: values.get(name, "–") for scan, values in terms.items()} for name in names}

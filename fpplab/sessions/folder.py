@@ -48,14 +48,12 @@ def remove_session(path: Path) -> None:
 
 
 def remove_temporary_folders(path: Path) -> None:
-    """Remove drafts of a session whose process was killed."""
     for draft in path.parent.glob(f".{glob.escape(path.name)}.*"):
         if draft.is_dir() and [inside.name for inside in draft.iterdir()] == [path.name]:
             shutil.rmtree(draft)
 
 
 def require_session(path: Path) -> None:
-    """Refuse to replace a directory that is not a session, or holds files that fpplab did not write."""
     if not (path / JOURNAL).is_file():
         raise DataError(f"{path}: is not a session, so --force does not replace it; remove it yourself")
     if foreign := _foreign_file_names(path):

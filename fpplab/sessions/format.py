@@ -46,7 +46,6 @@ def session_format(path: Path) -> int:
 
 
 def check_format(path: Path) -> None:
-    """Refuse a session of a later version, and one that lacks a file which it records."""
     version = session_format(path)
     if version > 1 and not (path / CHECKSUMS).is_file():
         raise DataError(f"{path}: {CHECKSUMS} is gone; `fpplab session repair` tells what is lost")
@@ -57,7 +56,6 @@ def check_format(path: Path) -> None:
 
 
 def present_format() -> str:
-    """Give the content of `session.yaml` in the present format."""
     return config.dump(SessionFormat(format=PRESENT))
 
 

@@ -21,7 +21,6 @@ from fpplab.sessions.journal import FrameRecord
 
 @cache
 def tiff_head(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
-    """Give what stands before the pixels of an image in the file that tifffile writes."""
     # shape (height, width)
     image, file = np.zeros(shape, dtype), io.BytesIO()
     tifffile.imwrite(file, image, photometric="minisblack", metadata=None)
@@ -29,7 +28,6 @@ def tiff_head(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
 
 
 def write_frame(path: Path, image: NDArray[Any]) -> str:
-    """Write a frame, atomically, while its checksum is computed."""
     # image (height, width)
     with ThreadPoolExecutor(max_workers=1) as worker:  # neither holds Python's lock
         checksum = worker.submit(_checksum, image)
@@ -38,7 +36,6 @@ def write_frame(path: Path, image: NDArray[Any]) -> str:
 
 
 def read_frame(path: Path, record: FrameRecord, verify: bool) -> Image:
-    """Read a frame, checked against its line of the journal."""
     # returns (height, width)
     index = record.index
     try:

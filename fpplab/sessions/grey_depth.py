@@ -17,7 +17,6 @@ STORED_BITS = 16  # bits of a stored grey level where it has more than 8: what T
 
 
 def check_bits(bits: int | None) -> None:
-    """Refuse a depth that no images have."""
     if bits is not None and bits not in BIT_DEPTHS:
         raise ConfigError(f"--bits is {bits}: one of {', '.join(map(str, BIT_DEPTHS))}")
 

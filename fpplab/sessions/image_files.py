@@ -39,7 +39,6 @@ class ImagePlace(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The same without the folder."""
         return str(self._replace(path=Path(self.path.name)))
 
 
@@ -117,7 +116,6 @@ def places_in(path: Path) -> list[ImagePlace]:
 
 
 def grey_images(places: list[ImagePlace]) -> Iterator[ReadImage]:
-    """Read images one after the other; all have the size of the first."""
     size: tuple[int, int] | None = None
     for path, together in groupby(places, key=lambda place: place.path):
         with open_image_file(path) as file:

@@ -36,7 +36,6 @@ class NumberedNames:
 
     @property
     def has_steps(self) -> bool:
-        """Whether names have a set and a step, instead of one index."""
         return len(self.first) == 2
 
     def name(self, numbers: NameNumbers) -> str:
@@ -116,7 +115,6 @@ class NumberedNames:
 
 
 def _format_fields(form: str) -> list[str]:
-    """The fields of a format, in the order of `_ALLOWED`."""
     try:
         parts = [part for part in string.Formatter().parse(form) if part[1] is not None]
         fields = sorted(str(field) for _, field, _, _ in parts)

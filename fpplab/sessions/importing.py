@@ -61,7 +61,6 @@ def import_images(
 def read_images(
     source: ImageSelection, bits: int | None = None, *, warn: Say = ignore, tell: Say = ignore
 ) -> tuple[list[Image], int]:
-    """Read grey images whose plan is not known."""
     # returns images (height, width)
     check_bits(bits)
     images = _find_and_check_images(source, None, bits, warn, tell)
@@ -78,7 +77,6 @@ class _CheckedImages:
     shift: int  # by how many bits stored levels are moved down
 
     def read(self) -> Iterator[Image]:
-        """Read them one after the other as a session has them."""
         for image in grey_images(self.places):
             yield (image.levels >> self.shift).astype(raw_dtype(self.bits))
 

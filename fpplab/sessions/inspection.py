@@ -96,7 +96,6 @@ def session_faults(path: Path, progress: Progress = no_progress) -> list[Session
 def frame_faults(
     path: Path, records: list[FrameRecord], progress: Progress = no_progress
 ) -> Iterator[SessionFault]:
-    """Read frames, and name those that are not whole."""
     for done, record in enumerate(records, 1):
         faults: list[SessionFault] = []
         with _noted(faults, path, record.file):

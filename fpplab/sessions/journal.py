@@ -143,7 +143,6 @@ def _record_of(line: bytes, error_prefix: str, ids: list[str] | None, taken: Con
 
 
 def check_whole(path: Path, plan: Plan, records: Sequence[FrameRecord]) -> None:
-    """Refuse a session that lacks frames, or has frames of several formats."""
     recorded = {record.index for record in records}
     if missing := [i for i in range(plan.images) if i not in recorded]:
         shown = ", ".join(map(str, missing[:8])) + (" …" if len(missing) > 8 else "")

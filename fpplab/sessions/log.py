@@ -55,7 +55,6 @@ class SessionLog(logging.Handler):
             logging.lastResort.handle(record)  # as without this log
 
     def end(self, error: BaseException | None) -> None:
-        """Append how it ended, and listen no longer."""
         for name, level in self._levels.items():
             logging.getLogger(name).removeHandler(self)
             logging.getLogger(name).setLevel(level)

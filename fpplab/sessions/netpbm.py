@@ -24,7 +24,6 @@ _OTHERS = {
 
 
 def is_netpbm(head: bytes) -> bool:
-    """Whether a file begins as one of this family does."""
     return re.match(rb"P[1-7fF]\s", head) is not None
 
 
@@ -46,7 +45,6 @@ class NetpbmFile:
             raise ValueError(f"its head says {width} x {height} pixels of levels up to {self._max_level}")
 
     def size(self, page: int) -> tuple[int, int]:
-        """Width and height in px."""
         return self._size
 
     def stated_bits(self, page: int) -> int | None:

@@ -63,7 +63,6 @@ def repair_session(path: Path, progress: Progress = no_progress) -> RepairReport
 
 
 def _restore_small_files(path: Path, report: RepairReport) -> None:
-    """Restore format, plan and rig from their copies."""
     kept = list(_readable_records(path, report))
     newest = {record.file: record for record in kept if record.is_whole}
     for name in (PLAN, RIG, FORMAT):

@@ -23,14 +23,12 @@ def read_rig(path: Path) -> RigRecord:
 
 
 def check_same_rig(began: RigRecord, now: RigRecord, path: Path) -> None:
-    """Refuse to continue a session on another rig."""
     if now is not None and began != now:
         what = "item or pose" if _but_mounted(began) == _but_mounted(now) else "rig"
         raise DataError(f"{path}: was begun with another {what}; name another output, or add --force")
 
 
 def _but_mounted(rig: RigRecord) -> dict[str, Any]:
-    """A rig's record without what was mounted on it."""
     resolved = (rig or {}).get("resolved") or {}
     return {**(rig or {}), "resolved": {k: v for k, v in resolved.items() if k != "mounted"}}
 
@@ -50,7 +48,6 @@ def recorded_projector(rig: RigRecord, plan: Plan, path: Path) -> tuple[tuple[in
 
 
 def recorded_response(rig: RigRecord, path: Path) -> Curve | None:
-    """Give the measured response of the rig of a session, where its file states one."""
     response = (rig or {}).get("response")
     return None if response is None else config.validate(response, Curve, f"{path}: response of the rig")
 

@@ -102,7 +102,6 @@ class RigSetup:
         self._ask, self._tell = ask, tell
 
     def choose_and_test_devices(self, home_stage: bool, operator_as_fixture: bool) -> RigDraft:
-        """Choose, open and test camera, projector and, if there is one, stage; all are closed afterwards."""
         draft = RigDraft()
         with ExitStack() as stack:
             camera = self._device(stack, draft, "camera", Camera, look_at_scene)  # type: ignore[type-abstract]
@@ -119,7 +118,6 @@ class RigSetup:
     def _device(
         self, stack: ExitStack, draft: RigDraft, kind: str, base: type[Chosen], test: Callable[[Chosen], Any]
     ) -> Chosen | None:
-        """One device that has passed its test, open until the stack ends; None for none."""
         while (chosen := self._choose_device(kind)) is not None:
             try:
                 with ExitStack() as attempt:
@@ -201,7 +199,6 @@ def _require_one_device(
 
 
 def look_at_scene(camera: Camera) -> CameraTest:
-    """Take a well exposed picture, if there is any light, and describe it."""
     settings, image = _well_exposed(camera)
     full = full_scale(settings.bits)
     darkest, brightest = (float(v) / full for v in np.quantile(image, (0.001, 0.999)))

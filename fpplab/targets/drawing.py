@@ -31,7 +31,6 @@ InkShape = InkBox | InkDisc  # a part of a board's drawing; the parts do not ove
 
 
 def covered_share(shapes: Iterable[InkShape], size_mm: tuple[float, float], px_per_mm: float) -> Floats:
-    """Compute the share of each pixel of a board's image that the foreground covers."""
     # The image's borders are the board's: where the size is not a whole number of pixels, the scale along
     # that axis is adapted.
     # size_mm (width, height) mm; returns (height, width)

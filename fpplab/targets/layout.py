@@ -54,7 +54,6 @@ class BoardLayout(PrintFields, GridFields, ABC):
                 raise ValueError(f"'size_mm': its points need a board {needed:g} mm {name}, not {size:g} mm")
 
     def check_counts_without_markers(self) -> None:
-        """Refuse counts from which points cannot be told; for the `check` of kinds without markers."""
         if self.counts[0] == self.counts[1]:
             raise ValueError("'counts' must differ, or a quarter turn of the board could not be recognised")
         if min(self.counts) < 3:

@@ -27,7 +27,6 @@ def load_dictionary(name: DictionaryName) -> cv2.aruco.Dictionary:
 def draw_marker(
     dictionary: cv2.aruco.Dictionary, marker: int, left: float, top: float, side: float
 ) -> Iterator[InkBox]:
-    """Draw the dark modules of a marker, its frame included."""
     modules = dictionary.markerSize + 2
     module = side / modules
     for row, column in np.argwhere(dictionary.generateImageMarker(marker, modules, borderBits=1) == 0):

@@ -14,7 +14,6 @@ from fpplab.targets.views import Detection, apply_homography, homography, whole_
 def in_order(
     layout: BoardLayout, grid: Floats, accepts: Callable[[Floats], bool] | None = None
 ) -> Detection | None:
-    """Order a grid of points as the board does: seen from the front and right way up."""
     # grid (rows, columns, 2) px
     turns = [grid, grid[::-1, ::-1], grid[::-1], grid[:, ::-1]]
     fits = [(_misfit(layout, turn), turn) for turn in turns if _seen_from_front(turn)]

@@ -30,7 +30,6 @@ def patch_of_blobs(blobs: Floats) -> GridPatch | None:
 
 
 def _grow_patch(blobs: Floats, seed: int) -> GridPatch:
-    """Grow a patch around one blob, whose nearest neighbours are taken for steps of the lattice."""
     offsets = blobs - blobs[seed]
     order = np.argsort(np.linalg.norm(offsets, axis=1))[1:]
     first = offsets[order[0]]

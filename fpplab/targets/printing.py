@@ -68,7 +68,6 @@ def paper_size(name: str) -> tuple[float, float]:
 def print_target(
     target: Target, page_file: Path, paper: str = "A4", legend_name: str = "board"
 ) -> PrintedSheet:
-    """Write a board as a page of vector graphics at true scale."""
     need_suffix(page_file, ".pdf", ".svg")
     size = _paper_size_turned_to_fit(target, paper)
     page = _Page(size)
@@ -173,7 +172,6 @@ class _Page:
         self.fill(Outline(corners, closed=True), "black")
 
     def ruler(self) -> None:
-        """Draw a ruler at the page's foot, its length from centre to centre of the end marks."""
         left, foot = 0.5 * (self.size[0] - LAYOUT.ruler_mm), LAYOUT.margin_mm + LAYOUT.legend_mm - 6
         start = np.array([left, foot], np.float64)
         self.line(start, start + (LAYOUT.ruler_mm, 0), 0.2)
@@ -185,14 +183,12 @@ class _Page:
                 self.text(left + mm, foot + 3.4, f"{mm}{unit}")
 
     def write_legend(self, legend: str) -> None:
-        """Write the legend below the ruler, in as many lines as it takes."""
         max_letters = int((self.size[0] - 2 * LAYOUT.margin_mm) / (LAYOUT.letter_advance * LAYOUT.letter_mm))
         top = LAYOUT.margin_mm + LAYOUT.legend_mm - 10
         for row, line in enumerate(textwrap.wrap(legend, max_letters)):
             self.text(self.size[0] / 2, top - 1.3 * LAYOUT.letter_mm * row, line)
 
     def text(self, x: float, y: float, content: str) -> None:
-        """Write text centred on x, with their baseline at y."""
         size = LAYOUT.letter_mm * (72.0 / MM_PER_INCH) / 0.75  # of the font, whose capitals are 3/4 as high
         self.figure.text(
             x, y, content, ha="center", va="baseline", fontsize=size, transform=self._mm, parse_math=False

@@ -50,7 +50,6 @@ def crossing_edges(half_mm: float) -> PointModel:
 
 
 def disc(radius_mm: float, half_mm: float) -> PointModel:
-    """Model a circle as an ellipse with a blurred rim."""
     # returns (a, b, c) px
     return PointModel(Surroundings.DISC, lambda frame: _disc_start(frame, radius_mm), half_mm)
 

@@ -37,7 +37,6 @@ def whole_board(pixels: NDArray[Any]) -> Detection:
 
 
 def homography(board: HasPoints, detection: Detection) -> Floats:
-    """Fit the homography from board to image by least squares over the points found."""
     # returns (3, 3) mm
     plane = board.points()[detection.ids, :2]
     matrix, _ = cv2.findHomography(plane, detection.pixels, 0)
@@ -61,7 +60,6 @@ def local_frames(matrix: Floats, points: Floats) -> Floats:
 
 
 def stretch_to_8_bits(level: Floats) -> NDArray[np.uint8]:
-    """Stretch an image to the full 8-bit range, which feature detectors are tuned for."""
     # level (height, width)
     low, high = np.percentile(level, [0.5, 99.5])
     share = (level - low) / max(high - low, 1e-12)
@@ -71,7 +69,6 @@ def stretch_to_8_bits(level: Floats) -> NDArray[np.uint8]:
 def window_around_point(
     level: Floats, pixel: Floats, frame: Floats, half_mm: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Take the pixels of a square of the board around a point."""
     # level (height, width); pixel (u, v) px; frame (2, 2) px; returns x (n,) px, y (n,) px, values (n,)
     rows, columns = window_pixels(level, pixel, np.linalg.inv(frame), half_mm)
     return columns - pixel[0], rows - pixel[1], level[rows, columns]

@@ -66,7 +66,6 @@ class Canvas:
             self._send(self._unsent.read(flush=True) or b"")
 
     def leave_server(self) -> None:
-        """Draw on the file alone from now on: the server has ended."""
         live, self._live = self._live, None
         if live is not None:
             live.disconnect()
@@ -103,7 +102,6 @@ class Canvas:
         self.log(entity, packed, static=static, bulky=not static)
 
     def map(self, entity: str, values: Map, scale: ColourScale, *, static: bool = False) -> None:
-        """Show a map in colours, with its colour bar beneath."""
         # values (h, w)
         import rerun as rr
 

@@ -28,7 +28,6 @@ def scene(name: str, contents: Sequence[str], origin: str = "/world") -> Any:
 
 
 def with_bar(content: Any, bar: str, name: str) -> Any:
-    """Put a colour bar beneath a view that is ten times as high."""
     import rerun.blueprint as rrb
 
     return rrb.Vertical(content, image("Colours", bar), row_shares=[10, 1], name=name)

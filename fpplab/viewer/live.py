@@ -136,7 +136,6 @@ class LiveView(CommandView):
         self.canvas.layout(self.arrangement(scene))
 
     def _draw_overlap(self, geometry: RigGeometry, distance_mm: float | None) -> None:
-        """The part of space that both devices see, plane by plane, and its part at the working distance."""
         import rerun as rr
 
         near, far = geometry.depth_mm
@@ -170,7 +169,6 @@ class LiveView(CommandView):
             self.canvas.text("words", now.state_text, static=False)
 
     def _draw_focus(self, name: str, focus: FocusShares, cell_px: int = 40) -> None:
-        """The focus of each region as a share of its best: colours, and figures on them."""
         import rerun as rr
 
         if focus.whole is not None:

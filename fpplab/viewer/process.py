@@ -24,7 +24,6 @@ from fpplab.viewer.server import ViewerServer, open_server
 
 
 def serve() -> None:
-    """Draw the messages on standard input until it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     reports = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what libraries print is no report

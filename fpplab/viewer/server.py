@@ -42,7 +42,6 @@ class ViewerServer:
         self.page = str(where["page"])
 
     def send(self, recording: bytes) -> None:
-        """Show a piece of a recording, unless the process has ended."""
         assert self._process.stdin is not None
         with suppress(OSError):
             self._process.stdin.write(recording)
@@ -50,7 +49,6 @@ class ViewerServer:
 
     @property
     def runs(self) -> bool:
-        """Whether the process is running: an operator may have closed the window."""
         return self._process.poll() is None
 
     def wait(self) -> None:
@@ -83,7 +81,6 @@ class ViewerServer:
 
 
 def open_server(shown: ViewerPlace, file: Path | None = None) -> ViewerServer:
-    """Open a window or a page, of a recording or of what will be sent."""
     if shown != "anywhere":
         return ViewerServer(shown, file)
     if has_display():

@@ -221,7 +221,6 @@ def _send_object(process: subprocess.Popen[bytes], content: object) -> None:
 
 
 def _wait_for_thread(thread: threading.Thread) -> Callable[[float], bool]:
-    """A function that waits for a thread for some seconds, and returns whether it has ended."""
 
     def joined(seconds: float) -> bool:
         thread.join(seconds)
@@ -231,7 +230,6 @@ def _wait_for_thread(thread: threading.Thread) -> Callable[[float], bool]:
 
 
 def _wait_for_process(process: subprocess.Popen[bytes]) -> Callable[[float], bool]:
-    """A function that waits for a process for some seconds, and returns whether it has ended."""
 
     def ended(seconds: float) -> bool:
         with suppress(subprocess.TimeoutExpired):

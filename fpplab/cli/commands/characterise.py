@@ -219,7 +219,6 @@ def characterise_command(
 def wanted_mm(
     guide: bool, until: str | None, depth_mm: DepthInterval | None, rig: str | None, limits: Path | None
 ) -> float | None:
-    """Check the options that go with one another, and give the uncertainty that is asked for."""
     for name, value in (("--until", until), ("--depth", depth_mm)):
         if value is not None and not guide:
             raise ConfigError(f"{name} goes with --guide, which asks for poses; add --guide")

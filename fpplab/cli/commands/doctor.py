@@ -60,7 +60,6 @@ def doctor_command(
 
 
 def _permissions() -> list[DoctorFinding]:
-    """What keeps devices from showing, besides packages that were left out."""
     from fpplab.core.doctor import DoctorFinding
     from fpplab.devices.discovery import connected_devices
 

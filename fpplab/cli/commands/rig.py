@@ -116,7 +116,6 @@ def _has_terminal() -> bool:
 
 
 def _ask(question: str, answers: Sequence[str]) -> int:
-    """Ask at the terminal, on stderr, until one of the answers is chosen."""
     console.log_status(question)
     for k, answer in enumerate(answers, 1):
         console.log_status(f"  {k}  {answer}")

@@ -75,7 +75,6 @@ def view_command(
 
 
 def _errors(mesh: Path, align: bool) -> CloudErrors:
-    """What gives a cloud's distances from a true shape. Raises `ConfigError`, `DataError`."""
     from fpplab.clouds import load_mesh
     from fpplab.comparison import compare
 

@@ -62,7 +62,6 @@ class Face:
 
 
 def normals_of(cloud: Cloud) -> Floats:
-    """Look up the normals of a cloud, or compute them from its pixel grid."""
     # returns (N, 3)
     if cloud.normals is not None:
         return np.asarray(cloud.normals, np.float64)
@@ -93,7 +92,6 @@ def find_spheres(points: Floats, normals: Floats, radius: float, count: int, sou
 
 
 def sphere_cap(points: Floats, centre: Floats, radius: float, rule: EvaluationRules, source: str) -> Cap:
-    """Select the points whose camera ray meets the sphere's cap inside its edge."""
     # A ray that passes the centre at the distance d meets the sphere at the angle of incidence asin(d/r), and
     # r - d inside its silhouette.
     # points (N, 3) mm; centre (3,) mm
@@ -154,7 +152,6 @@ def _random_subset(points: Floats, random: np.random.Generator) -> Floats:
 
 
 def _fit_centre(points: Floats, centre: Floats, radius: float) -> Floats:
-    """Fit the centre of a sphere of known radius to the points near it, robustly (soft L1 loss)."""
     for _ in range(3):
         near = np.abs(np.linalg.norm(points - centre, axis=1) - radius) <= LIMITS.sphere_reach * radius
         near &= _ray_distance(points, centre) <= 0.95 * radius
@@ -230,7 +227,6 @@ def find_plane(points: Floats, length: float, source: str) -> Plane:
 def plane_face(
     points: Floats, plane: Plane, size: tuple[float, float], rule: EvaluationRules, source: str
 ) -> Face:
-    """Select the points whose camera ray meets the plane well inside the edge of what was measured."""
     # points (N, 3) mm
     places, ahead = _on_plane(points, plane)
     near = ahead & (np.abs(plane.distances(points)) <= LIMITS.plane_reach * max(size))

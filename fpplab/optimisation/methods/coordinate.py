@@ -62,7 +62,6 @@ def coordinate_search(
 
 
 def _moves_by_several(parameter: Parameter, length: float) -> bool:
-    """Whether an integer parameter still moves by more than 1."""
     return parameter.is_integer and _integer_move(parameter, length) > 1
 
 

@@ -68,7 +68,6 @@ class Gradient(SearchMethod):
 
 
 def _penalised_objective(runner: CandidateRunner, candidate: MeasuredCandidate) -> float:
-    """Compute the objective in its own unit, with a penalty where the plan exceeds a limit."""
     value, scale = runner.ranking.values(candidate)[0], abs(runner.ranking.values(runner.start)[0])
     return value + LIMITS.penalty * scale * runner.ranking.violation(candidate)
 

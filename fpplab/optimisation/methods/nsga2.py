@@ -104,7 +104,6 @@ def _search_for_seed_points(runner: CandidateRunner) -> list[Point]:
 def _differs_only_in(
     candidate: MeasuredCandidate, begin: MeasuredCandidate, parameter_indices: Sequence[int]
 ) -> bool:
-    """Whether a trial equals `begin` in all parameters but those at `places`."""
     pairs = zip(candidate.point, begin.point, strict=True)
     return all(a == b for i, (a, b) in enumerate(pairs) if i not in parameter_indices)
 

@@ -61,7 +61,6 @@ class GuidedRun:
 
     @property
     def reached(self) -> bool:
-        """Whether the uncertainty is as small as asked for; true where nothing was asked for."""
         return self.until_mm is None or self.form_mm <= self.until_mm
 
     @property

@@ -124,7 +124,6 @@ def _uncovered_regions(
     camera_size: tuple[int, int],
     projector_size: tuple[int, int],
 ) -> tuple[str, ...]:
-    """What the poses leave undetermined, by a first estimate of both devices."""
     board = target.points()
     start, _, _ = calibrate_separately(observations, board, camera_size, projector_size)
     pair, _ = fit_pose_between_devices(observations, start, camera_size)

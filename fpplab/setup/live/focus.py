@@ -59,7 +59,6 @@ def _gradient_power(image: Floats, second_image: Floats) -> tuple[float, float]:
 
 
 def projector_contrast(sample: FrameSample) -> FocusMeasure:
-    """Measure how much of the fringes' contrast the projector's lens, and the camera's, leave."""
     measured = sample.measured
     if not measured.any():
         return UNKNOWN
@@ -81,7 +80,6 @@ class FocusTracker:
         return FocusTracker(measure, np.fmax(self.best, measure.regions), max(values, default=None))
 
     def forgotten(self) -> FocusTracker:
-        """Forget what was best, after the part or its place has changed."""
         return FocusTracker(self.now, self.now.regions, self.now.whole)
 
     @property

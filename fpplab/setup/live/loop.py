@@ -153,7 +153,6 @@ class LiveSetUp:
         return self._over or spent or time.monotonic() >= self._end_s
 
     def _pause_once_while_rig_is_busy(self, turn: RigTurn) -> None:
-        """Wait a moment for the command that has the rig, and take orders."""
         if self._paused_for is None:
             self._pauses += 1
         self._paused_for = turn.requested_by()
@@ -164,7 +163,6 @@ class LiveSetUp:
                 self._over = True
 
     def _prepare_on_open_rig(self) -> None:
-        """Get ready on an open rig: at first, and after every pause."""
         rig, options = self._rig, self._options
         if options.item is not None:
             rig.need_fixture(f"--item {options.item}").mount(options.item, self._pose)
@@ -369,7 +367,6 @@ class LiveSetUp:
         return take_or_resume_session(rig, plan, out, mounted, observe_frame=yields)
 
     def _counted(self) -> None:
-        """Report the result of the pose that was evaluated in the background."""
         if self._counting is not None and self._counting.done():
             self._message, self._counting = self._counting.result(), None
 

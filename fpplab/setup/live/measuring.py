@@ -62,7 +62,6 @@ class LiveMeasures:
         self.projector_focus = self.projector_focus.forgotten()
 
     def dark(self, bits: int) -> Mask | None:
-        """Find the pixels below 3 % of full scale in the view's light."""
         # returns (height, width)
         if self._brightest is None:
             return None

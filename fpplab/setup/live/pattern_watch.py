@@ -36,7 +36,6 @@ class PatternWatch:
         return self.settings
 
     def dark_frame(self) -> Frame:
-        """Take a frame with hardly any light: of a short exposure, with the projector dark."""
         camera, projector = self._rig.camera, self._rig.projector
         projector.blank()
         self._shown = None

@@ -46,7 +46,6 @@ class LivePatterns:
 
 
 def live_patterns(plan: Plan, caps: ProjectorCaps) -> Iterator[LivePatterns]:
-    """Make the patterns for a plan, and fewer for a projector that only shows what is in its memory."""
     yield _with_stills(_short_plan(plan), caps)
     yield _of_cycle(_widest_and_finest_sets(plan), caps)
 

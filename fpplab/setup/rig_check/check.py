@@ -128,13 +128,11 @@ def check_rig(
 
 
 def _causes_invisible_in_darkness(findings: Sequence[Finding]) -> tuple[str, ...]:
-    """What frames of a dark projector do not show."""
     dark = {PROJECTOR_DARK, UNDEREXPOSED, MISSING_COLOUR}
     return (UNSEEN_COLOUR,) if any(finding.cause in dark for finding in findings) else ()
 
 
 def _plan_timing(rig: Rig, plan: Plan) -> PulseTiming | None:
-    """The plan's times, where the devices can show it."""
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)
     recover_camera(rig)

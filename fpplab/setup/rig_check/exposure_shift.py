@@ -30,7 +30,6 @@ class ExposureShift:
 
 
 def find_exposure_shift(stepped: Floats, triggered: Floats) -> ExposureShift | None:
-    """Find the shift that explains the levels of a triggered run by those of a stepped one."""
     # stepped (K,); triggered (K,)
     if not (np.isfinite(stepped).all() and np.isfinite(triggered).all()):
         return None

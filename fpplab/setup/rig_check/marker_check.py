@@ -91,7 +91,6 @@ class MarkerRun:
 
 
 def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) -> tuple[SyncFault, ...] | None:
-    """Find the synchronisation faults under which the levels seen rise with the grey levels shown."""
     # Of the faults that fit, those that explain the most frames are returned. Swapped frames are not tried,
     # because only the trigger can have slipped.
     # shown (K,); levels (K,)
@@ -255,7 +254,6 @@ def _missing_colour(shown: NDArray[np.int64], levels: Floats) -> Finding | None:
 
 
 def recover_camera(rig: Rig) -> None:
-    """Reopen a camera after a run in which frames were lost."""
     if rig.camera.state is State.FAULT:
         rig.camera.close()
         rig.camera.open()
@@ -286,7 +284,6 @@ def _show_marker_once(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: flo
 
 
 def _find_settling_time(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
-    """The first settling time with which a stepped plan is in step, twice; None where none is."""
     for settle_s in LIMITS.settle_s:
         slower = plan.model_copy(update={"settle_s": settle_s})
         if settle_s > plan.settle_s and all(

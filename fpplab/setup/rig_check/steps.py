@@ -94,7 +94,6 @@ class _Steps:
         return self._check_pulses("ten pulses", marker().tolist()[: LIMITS.pulses])
 
     def rate(self) -> CheckedStep:
-        """Shorten the time between pulses until frames are lost or none is left."""
         # One image: none has to be read from flash meanwhile.
         patterns = self._uniform([255] * LIMITS.pulses)
         planned = self._timing(patterns)

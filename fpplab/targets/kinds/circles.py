@@ -105,7 +105,6 @@ class CircleGrid(BoardLayout):
         return centres
 
     def confusable(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """List `staggered`, and the order of counts that OpenCV has for an asymmetric grid."""
         other = not self.staggered
         description = (
             "lower by half a pitch in its odd columns" if other else "without a shift of odd columns"

@@ -102,7 +102,6 @@ class ReferenceMarks(BoardLayout):
         return frames
 
     def corrected(self, located: Detection) -> Detection:
-        """Compute the images of the circles' centres, of marks whose circles were all located."""
         ids, centres = [], []
         for rows, matrix in self._seen_marks(located):
             circles = self.points()[located.ids[rows], :2]
@@ -120,7 +119,6 @@ class ReferenceMarks(BoardLayout):
                 yield rows, homography(self, Detection(located.ids[rows], located.pixels[rows]))
 
     def circles(self) -> NDArray[np.intp]:
-        """List the circles of each mark, (M, 4)."""
         columns, rows = self.counts
         first = 2 * (columns * np.arange(rows // 2)[:, None] + np.arange(columns // 2)).reshape(-1, 1)
         return np.asarray(first + [0, 1, columns, columns + 1], np.intp)
