@@ -116,11 +116,12 @@ def _listed(numbers: Sequence[int]) -> str:
 
 def _describe_unequal_steps(levels: Floats, sizes: Sequence[int], limits: GuessLimits) -> str | None:
     """Sets of sinusoids whose steps are not equal."""
-    sentences = []
+    sentences, measured = [], 0
     for k, (start, count) in enumerate(zip(np.cumsum([0, *sizes]), sizes, strict=False)):
         of_set = levels[start : start + count]
         # Three images fit any steps.
         shifts = measured_phase_shifts(of_set, limits) if count > 3 else None
+        measured += shifts is not None
         if shifts is None or not _fits_badly(of_set, limits):
             continue
         expected = np.degrees(phase_steps(count))
@@ -131,9 +132,11 @@ def _describe_unequal_steps(levels: Floats, sizes: Sequence[int], limits: GuessL
         sentences.append(f"the images of 'fringes[{k}]' have unequal phase steps, at {degrees} degrees")
     if not sentences:
         return None
+    # A shift of the image moves the phase of fine fringes most.
+    moved = "; or the scene moved, which other sets hide: then take the images again at rest"
     return (
         f"{'; '.join(sentences)}: describe such a set as 'kind: shifted' with these 'shifts_deg', or leave "
-        "images out by '--skip', so that equal steps remain"
+        f"images out by '--skip', so that equal steps remain{moved if len(sentences) < measured else ''}"
     )
 
 

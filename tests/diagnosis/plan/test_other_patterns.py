@@ -109,6 +109,20 @@ def test_unequal_phase_steps_are_named(shifts: tuple[float, ...]) -> None:
     assert np.abs(signed - shifts).max() < 8.0
 
 
+def test_motion_may_seem_to_be_unequal_steps_of_the_finest_set_alone() -> None:
+    sizes, motion = (8, 8, 12), "or the scene moved"
+    flat = Bench(plan=plan_of("x", sizes, (1, 8, 60)), seed=9150, bulge_mm=3.7, camera_blur_px=1.1)
+    moving = replace(flat, moves_px=0.95).recording()
+    said = name_other_patterns(moving.frames, 255, sizes)
+    assert said is not None
+    assert "the images of 'fringes[2]' have unequal phase steps" in said
+    assert motion in said
+    shown = UnequalBench(plan=plan_of("x", (6,), (48,)), seed=33, shifts_deg=(0, 40, 80, 120, 160, 200))
+    said = name_other_patterns(shown.recording().frames, 255, (6,))
+    assert said is not None
+    assert motion not in said
+
+
 @pytest.mark.whole_after(2)
 @pytest.mark.parametrize("seed", range(40, 46))
 def test_sinusoids_are_left_alone(seed: int) -> None:
