@@ -20,12 +20,13 @@ from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 from fpplab.diagnosis.plan import PlanCheck, check_plan_fit
 from fpplab.diagnosis.plan.edits import Edit
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
-from fpplab.diagnosis.plan.orientation import check_orientation
+from fpplab.diagnosis.plan.orientation import check_orientation, steps_on_epipolar_lines
+from fpplab.diagnosis.points import systematic_epipolar_px
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
 
-EXCESS = 1e3
-"""Excess of a plan that is wrong, a multiple of its limit. Chosen: above those of other causes, since every
+EXCESS = 1e4
+"""Excess of a plan that is wrong, a multiple of its limit. Derived: no point lies as far off its line. Every
 other finding follows from it."""
 
 
@@ -42,14 +43,23 @@ class WrongPlanLimits(LimitsSection):
 
 
 def _find(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Finding]:
-    # A coordinate that runs against the calibration is always noticed. Other plans are tried where it does,
-    # where the sets contradict each other, or where few pixels become points.
+    # A coordinate that runs against the calibration is always noticed, and points off their epipolar lines.
+    # Other plans are tried where it does, where the sets contradict each other, or few pixels become points.
     recording, decoded, calibration = evidence.recording, evidence.decoded, evidence.calibration
     assert recording is not None
     assert decoded is not None
     assert calibration is not None
     limits, reported = evidence.limits.of(WrongPlanLimits), {finding.cause for finding in findings}
     against = _runs_against(decoded, calibration, recording.plan.axes, evidence)
+    if _is_off_epipolar_lines(evidence) and (
+        edit := steps_on_epipolar_lines(recording, calibration, evidence.limits)
+    ):
+        text = (
+            f"the plan does not fit its images: {edit.mistake}; so corrected, and only then, points lie on "
+            f"their epipolar lines; {edit.remedy}"
+        )
+        yield Finding(WRONG_PLAN, text, EXCESS)
+        return
     if against is None and not _is_suspicious(evidence, decoded, limits):
         return
     check = check_plan_fit(recording, evidence.limits, calibration)
@@ -95,6 +105,11 @@ def _is_suspicious(evidence: Evidence, decoded: Decoded, limits: WrongPlanLimits
         return True
     max_agreeing = evidence.limits.of(PlanCheckLimits).max_agreeing
     return decoded.disagreement is not None and not decoded.typical_disagreement <= max_agreeing
+
+
+def _is_off_epipolar_lines(evidence: Evidence) -> bool:
+    off = systematic_epipolar_px(evidence.cloud) if evidence.cloud is not None else None
+    return off is not None and off > evidence.limits.of(PlanCheckLimits).max_epipolar_px
 
 
 def _runs_against(

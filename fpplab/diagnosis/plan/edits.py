@@ -35,7 +35,7 @@ class Edit:
 
 def neighbouring_edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
     """Go through the plans next to one, the simplest first."""
-    yield from _other_steps(sets)
+    yield from other_steps(sets)
     finest = finest_of(sets)
     observed = gradient_directions(sample, finest)
     for edit in (
@@ -55,7 +55,7 @@ def finest_of(sets: Sets) -> int:
     return max(range(len(sets)), key=lambda k: sets[k].stripes)
 
 
-def _other_steps(sets: Sets) -> Iterator[Edit]:
+def other_steps(sets: Sets) -> Iterator[Edit]:
     """All sets with their images in reverse, or one image late or early."""
     yield Edit(
         "the images of each set were taken in reverse order",

@@ -15,7 +15,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import AXES, Axis
 from fpplab.core.errors import ConfigError
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
-from fpplab.diagnosis.plan.edits import Sets
+from fpplab.diagnosis.plan.edits import Edit, Sets, other_steps
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 from fpplab.diagnosis.plan.placement import PlacedSample, Placement, Turn
 from fpplab.diagnosis.plan.sample import PhaseSample
@@ -143,14 +143,11 @@ def check_orientation(
     recording: Recording, calibration: Calibration, limits: DiagnosisLimits = USUAL_LIMITS
 ) -> OrientationCheck | None:
     """Try every explanation of coordinates that run against a calibration."""
-    sets = tuple(s for s in recording.plan.sets if isinstance(s, Sinusoid))
     check_limits = limits.of(PlanCheckLimits)
-    if len(sets) < len(recording.plan.sets):
+    prepared = _prepared(recording, check_limits)
+    if prepared is None:
         return None
-    sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale, check_limits)
-    if sample is None:
-        return None
-    sampled = replace(recording, frames=[np.ascontiguousarray(f[sample.rows]) for f in recording.frames])
+    sets, sampled, sample = prepared
     placed = {sets: _placed(sampled, sets, sample)}
     as_recorded = placed[sets].placement(calibration, AS_RECORDED, recording.depth)
     fitting = []
@@ -174,6 +171,34 @@ def check_orientation(
         fitting = [(rival, p) for rival, p in fitting if (p.epipolar_px or 0.0) <= limit]
         fitting.sort(key=lambda tried: tried[1].epipolar_px or 0.0)
     return OrientationCheck(as_recorded, tuple(fitting))
+
+
+def steps_on_epipolar_lines(
+    recording: Recording, calibration: Calibration, limits: DiagnosisLimits = USUAL_LIMITS
+) -> Edit | None:
+    """Find the steps with which points along both axes lie on their epipolar lines."""
+    # Where a response is bent, the sets may agree under wrong steps within what their phases may be off.
+    prepared = _prepared(recording, limits.of(PlanCheckLimits))
+    if prepared is None or len(recording.plan.axes) < 2:
+        return None
+    sets, sampled, sample = prepared
+    for edit in other_steps(sets):
+        placement = _placed(sampled, edit.sets, sample).placement(calibration, AS_RECORDED, recording.depth)
+        if placement.fits(limits.of(PlanCheckLimits)):
+            return edit
+    return None
+
+
+def _prepared(recording: Recording, limits: PlanCheckLimits) -> tuple[Sets, Recording, PhaseSample] | None:
+    """Sets and some pixels of a plan of sinusoids; None of others, and where few pixels are lit."""
+    sets = tuple(s for s in recording.plan.sets if isinstance(s, Sinusoid))
+    if len(sets) < len(recording.plan.sets):
+        return None
+    sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale, limits)
+    if sample is None:
+        return None
+    frames = [np.ascontiguousarray(f[sample.rows]) for f in recording.frames]
+    return sets, replace(recording, frames=frames), sample
 
 
 def _placed(sampled: Recording, sets: Sets, sample: PhaseSample) -> PlacedSample:

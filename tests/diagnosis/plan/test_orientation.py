@@ -94,6 +94,17 @@ def test_one_axis_does_not_tell_and_nothing_is_advised(how: str) -> None:
 
 
 @pytest.mark.whole
+def test_epipolar_lines_tell_steps_that_a_bent_response_hides() -> None:
+    recording = replace(BOTH, plan=plan_of("xy", (3, 8, 3), (1, 7, 44)), gamma=1.9, white=0.7).recording()
+    sets = [recording.of_set(k) for k in range(len(recording.plan.fringes))]
+    early = replace(recording, frames=[f for frames in sets for f in (*frames[1:], frames[0])])
+    first = judged(early).findings[0]
+    assert first.cause.key == "wrong_plan"
+    assert "one step early" in first.evidence
+    assert judged(recording).findings[0].cause.key == "response"
+
+
+@pytest.mark.whole
 def test_a_range_of_depths_excludes_what_it_can() -> None:
     recording = replace(turned(ONE.recording(), "turned by 180"), depth=DepthRange((10.0, 20.0), "plan"))
     tried = check_orientation(recording, ONE.rig())
