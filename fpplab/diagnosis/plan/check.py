@@ -162,7 +162,7 @@ def check_plan_fit(
     if not best.agrees:
         better = [check for tried in trials if (check := _find_better_plan(tried, sets, best, calibration))]
         if better:
-            return min(better, key=lambda check: check.better_disagreement)
+            return min(better, key=lambda check: check.better_disagreement / check.disagreement)
     return _orientation(sets, best.sample, best.stated.median)
 
 

@@ -107,6 +107,18 @@ def test_a_mistake_is_named_with_what_to_write(name: str) -> None:
     assert_told(found.fault, told)
 
 
+@pytest.mark.whole
+def test_frames_whose_response_is_straightened_tell_a_mistake_best() -> None:
+    bench = Bench(plan=plan_of("x", (8, 3, 3), (1, 8, 42)), seed=9152, gamma=1.6)
+    found = check_plan_fit(one(2, shift_sign=-1)(bench.recording()))
+    assert found is not None
+    assert found.better_disagreement < 0.1 * found.disagreement
+    assert_told(
+        found.fault or "",
+        r"a response of gamma 1\.\d straightened\); write 'shift_sign: 1' in 'fringes\[2\]'",
+    )
+
+
 def assert_told(said: str, told: str) -> None:
     import re
 
