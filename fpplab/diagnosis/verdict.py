@@ -18,6 +18,7 @@ from fpplab.diagnosis.detection import FRAME_STAGES, find_causes
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.diagnosis.finding import FaultCause, Finding
 from fpplab.diagnosis.geometry import GeometryCheck
+from fpplab.diagnosis.islands import INVISIBLE_STEP, describe_unknown_orders
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits, LimitsSection, ShareLimit
 from fpplab.diagnosis.plan.code_order import code_order_fault
 from fpplab.diagnosis.ranking import rank_findings
@@ -186,7 +187,19 @@ def diagnose_scan(
         if judged.verdict is Verdict.GOOD and geometry and geometry.doubt:
             reason = f"{counted}; geometry not verified: {geometry.doubt.reason}; {geometry.doubt.remedy}"
             judged = replace(judged, verdict=Verdict.UNVERIFIED, reason=reason)
-    return replace(judged, changed_limits=limits.changes())
+    return replace(_with_islands(judged, decoded), changed_limits=limits.changes())
+
+
+def _with_islands(judged: Diagnosis, decoded: Decoded) -> Diagnosis:
+    """Say what neighbours could not tell where they unwrapped; such a result is unverified at best."""
+    if decoded.island is None:
+        return judged
+    unknown = describe_unknown_orders(decoded.island)
+    reason = (
+        f"{unknown}; {judged.reason}" if unknown else f"{judged.reason}; neighbours told the fringe orders"
+    )
+    verdict = Verdict.UNVERIFIED if judged.verdict is Verdict.GOOD else judged.verdict
+    return replace(judged, verdict=verdict, reason=reason, unknown=(*judged.unknown, INVISIBLE_STEP))
 
 
 def _unknown(
@@ -255,7 +268,7 @@ def diagnose_decoded(
         counted += f"; of the others {lost}"
     judged = _judge_findings(recording, limits, (count, seeing), counted, findings, unknown)
     judged = _by_criteria(judged, criteria_of(sample, decoded, None))
-    return replace(judged, changed_limits=limits.changes())
+    return replace(_with_islands(judged, decoded), changed_limits=limits.changes())
 
 
 def diagnose_poses(

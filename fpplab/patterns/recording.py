@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fpplab.core import buffers
 from fpplab.core.conventions import Axis, Floats, Image, Lattice, Map, full_scale, raw_per_grey
 from fpplab.core.depth import DepthRange
-from fpplab.core.errors import DataError
+from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.phase_error import relative_harmonics
@@ -23,6 +23,14 @@ from fpplab.patterns.plan import Plan
 
 _BAND = 32
 """Rows whose mean is taken at a time (chosen): their sums stay in the cache."""
+
+
+@dataclass(frozen=True)
+class KnownCoordinate:
+    """A projector coordinate that somebody knows, by a mark or by the distance of a point."""
+
+    pixel: tuple[int, int]  # of the camera (column, row)
+    coordinate: float  # of the projector in px, along the axis that neighbours unwrap
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +57,8 @@ class Recording:
         Whether the frames are a session's that another program recorded.
     lattice : Lattice
         How the projector's mirrors lie, which edges of codes follow.
+    known : tuple of KnownCoordinate
+        Points whose coordinate is known, from which spatial unwrapping takes the orders of their islands.
     """
 
     frames: Sequence[Image]
@@ -60,6 +70,7 @@ class Recording:
     depth: DepthRange | None = None
     is_imported: bool = False
     lattice: Lattice = Lattice.SQUARE
+    known: tuple[KnownCoordinate, ...] = ()
 
     def __repr__(self) -> str:
         height, width = self.frames[0].shape if self.frames else (0, 0)
@@ -212,6 +223,7 @@ class Recording:
             _check_same_format(self.name, n, frame, self.frames[0])
         _check_depth(self)
         self.plan.check_projector(self.projector_size, self.name)
+        _check_known(self)
         native = [cast(Image, np.ascontiguousarray(f, f.dtype.newbyteorder("="))) for f in self.frames]
         return replace(self, frames=native)
 
@@ -236,6 +248,15 @@ def _check_number(recording: Recording) -> None:
         raise DataError(
             f"{recording.name}: holds {count} frames, but the plan takes {planned}; give all of them"
         )
+
+
+def _check_known(recording: Recording) -> None:
+    height, width = recording.frames[0].shape
+    for point in recording.known:
+        if not (0 <= point.pixel[0] < width and 0 <= point.pixel[1] < height):
+            raise ConfigError(
+                f"--known: pixel {point.pixel[0]}, {point.pixel[1]} is none of the frames' {width} x {height}"
+            )
 
 
 def _check_same_format(name: str, number: int, frame: Image, first: Image) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -82,6 +82,10 @@ class Decoded:
     edges : EdgeBlur or None
         The blur by which edges of reflectivity draw coordinates to their brighter side, and what it cost;
         None without such edges. It is not saved.
+    island : ndarray of int32, (height, width), or None
+        Where neighbours unwrapped the fringes: the number of the island that the pixel belongs to, negative
+        where its fringe order is unknown, so that its coordinates are right up to a whole number of periods
+        that all of the island shares; 0 where nothing is measured. None where the plan tells the orders.
     """
 
     u: Map
@@ -97,6 +101,7 @@ class Decoded:
     guided: GuidedAxis | None = None
     drifts: Mapping[Axis, PointingDrift] = field(default_factory=dict)
     edges: EdgeBlur | None = None
+    island: NDArray[np.int32] | None = None
 
     def __repr__(self) -> str:
         height, width = self.sigma.shape
@@ -207,6 +212,22 @@ class Decoded:
         """Where the pixel is measured."""
         return np.isfinite(self.sigma)
 
+    def of_known_order(self) -> Decoded:
+        """Leave out the islands whose fringe order is unknown.
+
+        Returns
+        -------
+        Decoded
+            With NaN there; `island` stays.
+        """
+        if self.island is None or not (self.island < 0).any():
+            return self
+        unknown, nan = self.island < 0, np.float32(np.nan)
+        names = ("u", "v", "modulation", "sigma", "sigma_phase_error", "disagreement")
+        maps = {name: getattr(self, name) for name in names}
+        kept: dict[str, Any] = {k: None if m is None else np.where(unknown, nan, m) for k, m in maps.items()}
+        return replace(self, **kept)
+
     def save(self, path: Path | str) -> None:
         """Write an NPZ file with the keys u, v, modulation, sigma, whole or not at all.
 
@@ -269,7 +290,7 @@ class Decoded:
 
 
 _KEYS = "u", "v", "modulation", "sigma"
-_OPTIONAL = "disagreement", "uncertain_order", "removed", "sigma_phase_error"
+_OPTIONAL = "disagreement", "uncertain_order", "removed", "sigma_phase_error", "island"
 
 
 def _write_npz(arrays: Mapping[str, NDArray[Any]], stream: BinaryIO) -> None:

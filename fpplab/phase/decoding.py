@@ -19,6 +19,7 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
+from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase.biased_orders import mark_biased_orders
 from fpplab.phase.bounds import (
     DecodingBounds,
@@ -52,8 +53,9 @@ from fpplab.phase.outside import outside_share
 from fpplab.phase.precision import coordinate_spread
 from fpplab.phase.recipe import recipe_of
 from fpplab.phase.reference import fuse, unwrap
+from fpplab.phase.spatial_axis import unwrap_by_neighbours
 from fpplab.phase.tables import Maps, Recipe
-from fpplab.phase.unwrapping import WavelengthSequence, wavelength_sequence
+from fpplab.phase.unwrapping import WavelengthSequence, check_unwrapping, wavelength_sequence
 
 _BLOCK = 1 << 18  # pixels that one thread decodes at a time (chosen)
 
@@ -156,19 +158,39 @@ def _decode_axes(
     possible = {a: b for a, b in bounds.items() if isinstance(b, PossibleCoordinates)}
     check_bounds(possible, recording)
     if guided is None:
-        return _decode_unwrapped(recording, errors, progress, possible or None, coded)
+        return _decode_leading(recording, errors, progress, possible, coded)
     if fault := recording.plan.guidance_fault():
         raise ConfigError(f"{recording.name}: {fault}")
     (leading,) = recording.plan.unwrapped_axes
     first, second = recording.along(leading), recording.along(guided)
-    decoded = _decode_unwrapped(first, errors.of_sets(0, -1), progress, possible or None, coded)
+    decoded = _decode_leading(first, errors.of_sets(0, -1), progress, possible, coded)
     prediction = bounds.get(guided)
     if not isinstance(prediction, PredictedCoordinate):
         return decoded
+    decoded = decoded.of_known_order()
     predicted = prediction.predict(decoded.coordinate(leading))
     interval = {guided: around_prediction(predicted, second)}
     along = _decode_unwrapped(second, errors.of_sets(-1, None), no_progress, interval)
     return joined(decoded, along, predicted, second)
+
+
+def _decode_leading(
+    recording: Recording,
+    errors: ErrorModel,
+    progress: Progress,
+    bounds: Mapping[Axis, PossibleCoordinates],
+    coded: tuple[Axis, ...],
+) -> Decoded:
+    """Decode the axes that nothing guides, by neighbours where the plan says so and no code tells orders."""
+    if not unwrapping_methods()[recording.plan.unwrapping].spatial or coded:
+        return _decode_unwrapped(recording, errors, progress, bounds or None, coded)
+    check_unwrapping(recording.plan, recording.name)
+    (axis,) = recording.plan.axes
+    islands = unwrap_by_neighbours(recording, axis, errors, bounds.get(axis))
+    within = {axis: around_prediction(islands.coordinate, recording)}
+    decoded = _decode_unwrapped(recording, errors, progress, within, (axis,))
+    _drop(decoded, np.flatnonzero(islands.island == 0))
+    return replace(decoded, island=np.where(decoded.valid, islands.island, np.int32(0)))
 
 
 def _decode_unwrapped(

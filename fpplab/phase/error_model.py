@@ -41,7 +41,7 @@ from fpplab.phase.common_errors import (
 from fpplab.phase.drift import PointingDrift, phase_ramp, pointing_drifts, ramp_error_rad, without_ramp
 from fpplab.phase.lag import lag_error_rad, lag_share, without_lag
 from fpplab.phase.limits import NOISE, ORDERS
-from fpplab.phase.neighbours import with_errors_of_neighbours
+from fpplab.phase.neighbours import noise_of_neighbours, with_errors_of_neighbours
 from fpplab.phase.noise import QUANTISATION, NoiseModel, fit_line, level_step, surprising_power
 from fpplab.phase.unwrapping import WavelengthSequence, wavelength_sequence
 
@@ -109,6 +109,9 @@ def error_model_of(recording: Recording) -> ErrorModel:
         _sequences(recording),
         ramps,
     )
+    if plan.images <= NOISE.min_samples:
+        noise = noise_of_neighbours(recording, errors.saturation, errors.noise)
+        errors = replace(errors, noise=noise)
     sets = list(with_errors_of_neighbours(errors.sets, recording, errors.saturation, fits, errors.noise))
     for k, ramp in ramps.items():
         sets[k] = replace(sets[k], drift_rad=ramp_error_rad(ramp, plan.fringes[k]))

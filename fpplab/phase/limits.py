@@ -333,6 +333,42 @@ class CodeLimits(NamedTuple):
     usual_blur_px: float = 0.7  # blur with which a plan is judged before anything is taken (chosen)
 
 
+class IslandLimits(NamedTuple):
+    """Limits of the islands in which neighbours unwrap a phase."""
+
+    tests: tuple[tuple[int, int], ...] = ((1, 1), (1, 9), (3, 9))
+    """Links of a sum that must go on as the slopes beside it say, and pixels along an edge whose mean it is.
+    Chosen: blur spreads a step over three pixels, and nine lessen noise to a third."""
+    slope_px: int = 5  # side of the square whose links tell a slope, odd (chosen)
+    sigmas: float = 5.0
+    """How many standard deviations a phase may differ from what the slopes say. Chosen: noise exceeds it at
+    one link in two million."""
+    slope_share: float = 1.0
+    """The same as a share of the difference of the slopes. Derived: half of it is a crease along the columns;
+    a slanted one lies elsewhere in each row of the square, which up to doubles it."""
+    max_slope_rad: float = 2.2
+    """Slope beyond which a link is not sound, in rad per pixel. Chosen: noise of 0.2 rad reaches π from
+    there at 5 sigma."""
+    step_px: tuple[int, ...] = (12, 4)
+    """Distance from any step at which islands begin. Chosen: a gap of 24 px in a step that changes by 0.006
+    rad per pixel looks like none at a noise of 0.03 rad; the second one is for what is narrower."""
+    hole_px: int = 1  # distance from pixels that are not measured at which islands begin (chosen)
+    min_pixels: int = 100  # pixels of an island (chosen: a smaller one is a scrap beside a step)
+    min_border_px: int = 25  # sound links that join two islands (chosen: more than such a gap has)
+    sound_share: float = 0.8  # share of the links of their border that must be sound (chosen)
+    agreeing_share: float = 0.99  # share of the sound ones that must tell the same order (chosen)
+    inside_share: float = 0.99
+    """Share of an island's pixels that must lie within the possible coordinates. Chosen: edges of surfaces
+    blur."""
+    outside_share: float = 0.05
+    """Share of an island's pixels beyond them by which an order is excluded. Chosen: five times what may lie
+    there of the right one."""
+    beyond_sigmas: float = 5.0  # how far beyond them noise may take a pixel (chosen)
+    max_off_turns: float = 0.25
+    """How far a known coordinate may be from the island's, in periods. Chosen, as that of
+    `GuidedAxisLimits`."""
+
+
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
@@ -344,3 +380,4 @@ DRIFT = DriftLimits()
 NEIGHBOURS = NeighbourLimits()
 EDGES = EdgeLimits()
 CODES = CodeLimits()
+ISLANDS = IslandLimits()

@@ -29,7 +29,7 @@ from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.common_errors import CommonErrors, HarmonicsFit, fit_sinusoids, set_group
 from fpplab.phase.limits import NEIGHBOURS
-from fpplab.phase.noise import NoiseModel, surprising_power
+from fpplab.phase.noise import NoiseModel, fit_line, surprising_power
 
 S = TypeVar("S", bound=np.generic)
 
@@ -89,6 +89,21 @@ def with_errors_of_neighbours(
         phases = _PhasesInTiles(levels, tiles.usable, fringe, plan.masks.modulation_min, noise)
         result.append(phases.added_to(errors, gradients, fits.get(k), others))
     return result
+
+
+def noise_of_neighbours(recording: Recording, saturation: int, noise: NoiseModel) -> NoiseModel:
+    """Estimate the noise of one set of three steps, whose images leave nothing else to tell it."""
+    # Roughness of the surface counts as noise, since nothing tells them apart.
+    tiles, fringe = Tiles.of(recording, saturation), recording.plan.fringes[0]
+    if tiles is None:
+        return noise
+    phases = _PhasesInTiles(tiles.levels, tiles.usable, fringe, recording.plan.masks.modulation_min, noise)
+    if phases.used.sum() < NEIGHBOURS.min_pixels:
+        return noise
+    of_noise = fringe.phase_noise * np.sqrt(_SQUARE_OF_BEND) / _inner(phases.modulation)[phases.used]
+    bends = np.concatenate([_bend(phases.phasor, axis)[phases.used] / of_noise for axis in _ALONG])
+    level = np.tile(_inner(phases.fitted[0])[phases.used], len(_ALONG))
+    return fit_line(level, np.square(bends), 1, noise.step)
 
 
 class _PhasesInTiles:

@@ -52,6 +52,13 @@ def wavelength_sequence(
             "plan that can be unwrapped by itself: 'hierarchical' or 'heterodyne'"
         )
     wavelengths = method.wavelengths(units)
+    if method.spatial:
+        if len(sets) > 1 or len(plan.unwrapped_axes) > 1:
+            stripes = [unit.stripes for unit in units]
+            raise ConfigError(
+                f"{source}: 'unwrapping' is '{plan.unwrapping}': {method.advice(stripes, 1, 1)}"
+            )
+        return WavelengthSequence(axis, sets, tuple(wavelengths), (0.0,), 1.0 / units[0].stripes)
     max_stripes = (1.0 / interval_share if interval_share and method.guided else 1.0) + NEGLIGIBLE
     coarse = [w for w in wavelengths if w.stripes <= max_stripes]
     if not coarse:

@@ -9,7 +9,7 @@ from fpplab.pipeline.characterising import (
     require_plan_fits,
 )
 from fpplab.pipeline.checking import doubts_about_session
-from fpplab.pipeline.decoding import decode_session, recording_and_fault
+from fpplab.pipeline.decoding import decode_session, parse_known, recording_and_fault
 from fpplab.pipeline.depth import check_plan, plan_with_depth
 from fpplab.pipeline.marks import locate_session_marks
 from fpplab.pipeline.measuring import Reconstruction, finish_scan, reconstruct_points, reconstruct_session
@@ -33,6 +33,7 @@ __all__ = [
     "locate_session_marks",
     "measure_response",
     "observe_session",
+    "parse_known",
     "plan_stage_moves",
     "plan_with_depth",
     "reconstruct_points",

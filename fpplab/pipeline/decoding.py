@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from fpplab.calibration.model import Calibration
+from fpplab.core.conventions import Axis
 from fpplab.core.depth import DepthInterval
-from fpplab.core.errors import DataError
+from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, no_progress
-from fpplab.patterns.recording import Recording
+from fpplab.patterns.recording import KnownCoordinate, Recording
+from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import Decoded, decode
 from fpplab.pipeline.checking import plan_fault, require_in_step
 from fpplab.pipeline.depth import given_depth
+from fpplab.reconstruction.depth_range import KnownPixels, coordinates_of_points
 from fpplab.sessions.origin import check_region, check_stage
 from fpplab.sessions.session import Session
 
@@ -23,6 +27,7 @@ def checked_recording(
     progress: Progress,
     *,
     as_recorded: bool = False,
+    known_mm: KnownPixels = (),
 ) -> Recording:
     # `depth_mm` replaces the range of depths that plan or rig state.
     given = given_depth(depth_mm)
@@ -33,7 +38,51 @@ def checked_recording(
     recording = session.recording(progress=lambda share: progress(0.3 * share))
     if not as_recorded:
         require_in_step(recording)
-    return replace(recording, depth=given) if given else recording
+    recording = replace(recording, depth=given) if given else recording
+    if not known_mm:
+        return recording
+    (axis,) = spatial_axes(recording)
+    return replace(recording, known=coordinates_of_points(known_mm, axis, calibration))
+
+
+def parse_known(options: Sequence[str]) -> KnownPixels:
+    """Read what `--known` says.
+
+    Parameters
+    ----------
+    options : sequence of str
+        COLUMN,ROW,VALUE each.
+
+    Returns
+    -------
+    tuple of tuple
+        Column, row and value of each.
+
+    Raises
+    ------
+    ConfigError
+        One of them is not three numbers.
+    """
+    known = []
+    for option in options:
+        try:
+            column, row, value = option.split(",")
+            known.append((int(column), int(row), float(value)))
+        except ValueError:
+            raise ConfigError(
+                f"--known is '{option}': must be COLUMN,ROW,VALUE, such as 640,512,431.5, without blanks"
+            ) from None
+    return tuple(known)
+
+
+def spatial_axes(recording: Recording) -> tuple[Axis, ...]:
+    """Give the axis that neighbours unwrap; refuse known points where there is none."""
+    if not unwrapping_methods()[recording.plan.unwrapping].spatial:
+        raise ConfigError(
+            f"--known: is for plans with 'unwrapping: spatial', and {recording.name} has "
+            f"'{recording.plan.unwrapping}', which tells all orders; leave it out"
+        )
+    return recording.plan.unwrapped_axes
 
 
 def decode_session(
@@ -46,7 +95,7 @@ def decode_session(
 
 
 def recording_and_fault(
-    session: Session, progress: Progress, *, as_recorded: bool
+    session: Session, progress: Progress, *, as_recorded: bool, known: KnownPixels = ()
 ) -> tuple[Recording, str | None]:
     """Read the frames of a session, and say what is wrong with their plan if they are taken as recorded."""
     recording = session.recording(progress=lambda share: progress(0.5 * share))
@@ -55,4 +104,7 @@ def recording_and_fault(
     fault = plan_fault(recording)
     if fault and not as_recorded:
         raise DataError(f"{session.path}: {fault}; --as-recorded decodes it nevertheless")
+    if known and spatial_axes(recording):
+        points = tuple(KnownCoordinate((column, row), value) for column, row, value in known)
+        recording = replace(recording, known=points)
     return recording, fault

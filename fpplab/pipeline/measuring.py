@@ -24,6 +24,7 @@ from fpplab.pipeline.decoding import checked_recording
 from fpplab.pipeline.geometry import geometry_check
 from fpplab.pipeline.marks import SeenMarks, compare_marks_in, widened_by_marks
 from fpplab.pipeline.triangulating import triangulate_recording
+from fpplab.reconstruction.depth_range import KnownPixels
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.sessions.lock import exclusive_write
@@ -69,11 +70,14 @@ def reconstruct_session(
     filtering: bool | None = None,
     depth_mm: DepthInterval | None = None,
     as_recorded: bool = False,
+    known_mm: KnownPixels = (),
     observe_maps: Callable[[Decoded], object] = ignore,
     limits: DiagnosisLimits = USUAL_LIMITS,
 ) -> Reconstruction:
     """Reconstruct a session and judge the result; nothing is written."""
-    recording = checked_recording(session, calibration, depth_mm, progress, as_recorded=as_recorded)
+    recording = checked_recording(
+        session, calibration, depth_mm, progress, as_recorded=as_recorded, known_mm=known_mm
+    )
     decoded, points = triangulate_recording(recording, calibration, filtering, progress, limits)
     observe_maps(decoded)
     if isinstance(points, Diagnosis):

@@ -34,10 +34,11 @@ def triangulate_recording(
         raise
     if filtering is not None:
         plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
-    if not decoded.valid.any():
+    placed = decoded.of_known_order()
+    if not placed.valid.any():
         return decoded, diagnose_scan(recording, decoded, None, calibration, limits=limits)
     try:
-        return points_of(decoded, calibration, plan, recording.mean_image())
+        return points_of(placed, calibration, plan, recording.mean_image())
     except DataError:
         diagnosis = diagnose_scan(recording, decoded, None, calibration, limits=limits)
         if not diagnosis.findings:

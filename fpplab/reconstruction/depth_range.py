@@ -10,9 +10,13 @@ from fpplab.core.conventions import AXES, Axis, Floats
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import KnownCoordinate
 from fpplab.phase.bounds import DecodingBounds, PossibleCoordinates, PredictedCoordinate
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 from fpplab.reconstruction.triangulation import camera_slopes, predict_coordinate
+
+KnownPixels = tuple[tuple[int, int, float], ...]
+"""Column and row of pixels, and what is known there: a distance in mm or a coordinate in px."""
 
 
 def decoding_bounds(plan: Plan, calibration: Calibration, depth: DepthRange | None) -> DecodingBounds:
@@ -23,6 +27,23 @@ def decoding_bounds(plan: Plan, calibration: Calibration, depth: DepthRange | No
     if (axis := plan.guided_axis) is not None:
         bounds[axis] = PredictedCoordinate(lambda known: predict_coordinate(known, axis, calibration))
     return bounds
+
+
+def coordinates_of_points(
+    known_mm: KnownPixels, axis: Axis, calibration: Calibration
+) -> tuple[KnownCoordinate, ...]:
+    """Give the projector coordinates of points whose distance along the camera's axis is known."""
+    slopes, points = camera_slopes(calibration.camera), []
+    height, width = slopes.shape[1:]
+    for column, row, depth_mm in known_mm:
+        if not (0 <= column < width and 0 <= row < height and depth_mm > 0):
+            raise ConfigError(
+                f"--known: {column},{row},{depth_mm:g} is no pixel of {width} x {height} and a distance in mm"
+            )
+        ray = np.array([*slopes[:, row, column], 1.0])
+        seen = calibration.projector.project(calibration.T_projector_camera.apply(depth_mm * ray))
+        points.append(KnownCoordinate((column, row), float(seen[AXES.index(axis)])))
+    return tuple(points)
 
 
 def depth_bounds(plan: Plan, calibration: Calibration, depth: DepthRange) -> dict[Axis, PossibleCoordinates]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fpplab.diagnosis import Diagnosis
+from fpplab.diagnosis.islands import island_counts
 from fpplab.phase import Decoded
 
 
@@ -34,4 +35,6 @@ class DecodingResult:
         return {**self.diagnosis.summary(), **self._figures()}
 
     def _figures(self) -> dict[str, Any]:
-        return {"valid": int(self.decoded.valid.sum()), "seconds": self.seconds}
+        islands = island_counts(self.decoded)
+        figures = {"valid": int(self.decoded.valid.sum()), "seconds": self.seconds}
+        return figures if islands is None else {**figures, "islands": islands}

@@ -12,6 +12,7 @@ from fpplab.clouds import Cloud
 from fpplab.core.depth import DepthRange
 from fpplab.core.notebook import html_table
 from fpplab.diagnosis import Diagnosis
+from fpplab.diagnosis.islands import island_counts
 from fpplab.phase import Decoded
 from fpplab.phase.precision import uncertain_orders
 from fpplab.pipeline import Reconstruction
@@ -129,6 +130,7 @@ class ScanResult:
             "uncertain_orders": uncertain_orders(self.decoded, self.session.plan),
             "edges": cost_at_edges(self.decoded, self.cloud),
             "seconds": self.seconds,
+            **({} if (islands := island_counts(self.decoded)) is None else {"islands": islands}),
         }
 
     def summary(self) -> dict[str, Any]:

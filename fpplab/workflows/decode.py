@@ -11,6 +11,7 @@ from fpplab.workflows.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
     from fpplab.diagnosis import DiagnosisLimits
+    from fpplab.reconstruction.depth_range import KnownPixels
     from fpplab.results.decoding import DecodingResult
 
 
@@ -23,6 +24,7 @@ class DecodingRequest:
     as_recorded: bool = False  # whether frames that are out of step with the plan are taken as they are
     force: bool = False  # whether an existing file is replaced
     limits: DiagnosisLimits | None = None  # of an expert, by which the maps are judged
+    known: KnownPixels = ()  # points whose coordinate is known, for plans that neighbours unwrap
 
 
 def run_decoding(request: DecodingRequest, observer: Observer | None = None) -> DecodingResult:
@@ -42,7 +44,9 @@ def run_decoding(request: DecodingRequest, observer: Observer | None = None) -> 
     observer, stopwatch = observer or Observer(), Stopwatch()
     with observer.stage("Decoding") as progress:
         session = Session.open(request.session)
-        recording, fault = recording_and_fault(session, progress, as_recorded=request.as_recorded)
+        recording, fault = recording_and_fault(
+            session, progress, as_recorded=request.as_recorded, known=request.known
+        )
         decoded = decode(recording, lambda share: progress(0.5 + 0.5 * share))
         observer.maps(decoded)
         diagnosis = diagnose_decoded(recording, decoded, request.limits or USUAL_LIMITS, fault)

@@ -45,7 +45,9 @@ def run_triangulation(request: MapsRequest, observer: Observer | None = None) ->
     observer.calibration(request.calibration)
     with observer.stage("Triangulating") as progress:
         with naming_other_kinds(request.maps, "maps"):
-            decoded = Decoded.load(request.maps)
+            decoded = Decoded.load(request.maps).of_known_order()
+        if not decoded.valid.any():
+            raise DataError(f"{request.maps}: no pixel has a known fringe order; decode it with --known")
         observer.maps(decoded)
         cloud = triangulate(decoded, request.calibration)
         share = len(cloud) / max(int(decoded.valid.sum()), 1)

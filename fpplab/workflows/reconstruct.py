@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from fpplab.core.depth import DepthInterval
     from fpplab.diagnosis import DiagnosisLimits
     from fpplab.phase import Decoded
+    from fpplab.reconstruction.depth_range import KnownPixels
     from fpplab.results.scan import ScanResult
     from fpplab.sessions.session import Session
 
@@ -32,6 +33,7 @@ class ReconstructionRequest:
     out: Path | None = None  # the cloud; a report goes next to it. Without, nothing is written
     depth_mm: DepthInterval | None = None  # instead of the range that plan or rig state
     filtering: bool | None = None  # instead of what the plan says of its filter
+    known_mm: KnownPixels = ()  # points whose distance is known, for plans that neighbours unwrap
     as_recorded: bool = False  # whether frames that are out of step with the plan are taken as they are
     force: bool = False  # whether existing files are replaced
     limits: DiagnosisLimits | None = None  # of an expert, by which the result is judged
@@ -66,6 +68,7 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
             filtering=request.filtering,
             depth_mm=request.depth_mm,
             as_recorded=request.as_recorded,
+            known_mm=request.known_mm,
             observe_maps=observer.maps,
             limits=request.limits or USUAL_LIMITS,
         )

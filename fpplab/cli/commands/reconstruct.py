@@ -33,6 +33,14 @@ def reconstruct_command(
         bool | None, option("--filter/--no-filter", "Remove points that lie on no surface; as the plan says.")
     ] = None,
     depth: DepthOption = None,
+    known: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--known",
+            metavar="COLUMN,ROW,MM",
+            help="A camera pixel and its distance, for fringes that neighbours unwrap; repeatable.",
+        ),
+    ] = None,
     as_recorded: AsRecorded = False,
     limits: LimitsOption = None,
     view: ViewOption = False,
@@ -50,10 +58,13 @@ def reconstruct_command(
     report; without frames, their points are `doubtful` at best.
     """
     if session.is_file() and session.suffix.lower() == ".npz":
-        _triangulate_maps(session, calibration, out, force, json, {"--depth": depth, "--limits": limits})
+        _triangulate_maps(
+            session, calibration, out, force, json, {"--depth": depth, "--known": known, "--limits": limits}
+        )
         return
     from fpplab.calibration.model import Calibration
     from fpplab.diagnosis import load_limits
+    from fpplab.pipeline import parse_known
     from fpplab.sessions.session import Session
     from fpplab.workflows.reconstruct import ReconstructionRequest, run_reconstruction
 
@@ -62,6 +73,7 @@ def reconstruct_command(
         calibration=Calibration.load(calibration),
         out=out,
         depth_mm=depth,
+        known_mm=parse_known(known or ()),
         filtering=filtering,
         as_recorded=as_recorded,
         force=force,

@@ -55,6 +55,9 @@ class UnwrappingMethod(ABC):
     guided: bool = False
     """Whether it needs to know which projector coordinates a camera pixel may have."""
 
+    spatial: bool = False
+    """Whether neighbouring pixels unwrap a single set."""
+
     @abstractmethod
     def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
         """Give every synthetic wavelength that unwrapping may pass through.

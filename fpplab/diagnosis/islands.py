@@ -1,0 +1,36 @@
+"""What is said of coordinates that neighbours unwrapped: which islands have a known fringe order."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.phase import Decoded
+
+INVISIBLE_STEP = (
+    "islands: a step of a whole number of periods along all of an edge looks like none in one set of fringes"
+)
+
+
+def island_counts(decoded: Decoded) -> dict[str, int] | None:
+    """Count the islands, and those whose order is known; None where no neighbours unwrapped."""
+    if decoded.island is None:
+        return None
+    numbers = np.unique(decoded.island[decoded.island != 0])
+    return {"count": len(numbers), "known": int((numbers > 0).sum())}
+
+
+def describe_unknown_orders(island: NDArray[np.int32]) -> str | None:
+    """Say what is unknown of the islands' orders; None where all are known."""
+    numbers = np.unique(island[island != 0])
+    if len(numbers) == 0:
+        return "neighbours tell no connected surface"
+    unknown = numbers[numbers < 0]
+    if len(unknown) == 0:
+        return None
+    share = np.count_nonzero(island < 0) / np.count_nonzero(island)
+    islands = "1 island" if len(numbers) == 1 else f"{len(numbers)} islands"
+    text = f"{len(unknown)} of {islands}, with {share:.0%} of the pixels, have an unknown fringe order"
+    if len(numbers) > 1:
+        text += ", so that heights between them are unknown"
+    return f"{text}; narrow --depth, or name a point of each with --known"
