@@ -38,7 +38,8 @@ class CodeMisfitLimits(LimitsSection):
 
 def lit_pixels(recording: Recording) -> int:
     """Count the pixels whose levels change as those of a code do."""
-    change = level_range(recording.frames) * recording.grey
+    single = len(recording.frames) == 1  # which shows no change
+    change = (recording.frames[0] if single else level_range(recording.frames)) * recording.grey
     return int(np.count_nonzero(change >= 2.0 * recording.plan.masks.modulation_min))
 
 

@@ -11,6 +11,21 @@ INVISIBLE_STEP = (
     "islands: a step of a whole number of periods along all of an edge looks like none in one set of fringes"
 )
 
+ONE_FRAME = (
+    "one frame: in which direction the phase rises, which is taken to be along the camera's axis, and "
+    "everything that only several images of a set show"
+)
+
+
+def describe_resolution(decoded: Decoded) -> str | None:
+    """Say what one frame does not show; None where every pixel is measured by itself."""
+    if decoded.resolution_px is None:
+        return None
+    return (
+        f"one frame shows nothing narrower than {decoded.resolution_px:.0f} px, and neighbours within share "
+        "their noise"
+    )
+
 
 def island_counts(decoded: Decoded) -> dict[str, int] | None:
     """Count the islands, and those whose order is known; None where no neighbours unwrapped."""

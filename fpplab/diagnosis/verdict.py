@@ -18,7 +18,7 @@ from fpplab.diagnosis.detection import FRAME_STAGES, find_causes
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.diagnosis.finding import FaultCause, Finding
 from fpplab.diagnosis.geometry import GeometryCheck
-from fpplab.diagnosis.islands import INVISIBLE_STEP, describe_unknown_orders
+from fpplab.diagnosis.islands import INVISIBLE_STEP, ONE_FRAME, describe_resolution, describe_unknown_orders
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits, LimitsSection, ShareLimit
 from fpplab.diagnosis.plan.code_order import code_order_fault
 from fpplab.diagnosis.ranking import rank_findings
@@ -229,11 +229,14 @@ def _diagnose_codes(
     """Judge coordinates without fringes, which are never good: their frames show too little."""
     lit, count = lit_pixels(recording), int(decoded.valid.sum()) if cloud is None else len(cloud)
     counted = f"{count} of {lit} pixels that see the codes are measured"
+    if resolution := describe_resolution(decoded):
+        counted = f"{count} of {lit} pixels are measured; {resolution}"
+        unknown = (*unknown, ONE_FRAME)
     judged = _judge_findings(recording, limits, (count, lit), counted, findings, unknown)
     judged = _by_criteria(judged, criteria_of_codes(decoded, cloud, lit, limits))
     if judged.verdict is Verdict.GOOD:
         judged = replace(judged, verdict=Verdict.UNVERIFIED, reason=f"{counted}; not verified: {NOT_SHOWN}")
-    return replace(judged, changed_limits=limits.changes())
+    return replace(_with_islands(judged, decoded), changed_limits=limits.changes())
 
 
 def _unplaced(recording: Recording, cloud: Cloud, region_is_known: bool) -> str:

@@ -37,6 +37,8 @@ def sets_of_axis(plan: Plan, axis: Axis, *, with_fringes: bool) -> tuple[int, ..
 def axes_by_codes(plan: Plan, size: tuple[int, int]) -> list[Axis]:
     """List the axes whose sets tell the coordinate all together: codes do not tell the orders of fringes."""
     with_orders = axes_with_orders(plan, size)
+    if plan.images == 1:  # whose neighbours tell it, see `fpplab.phase.one_frame`
+        return []
     return [axis for axis in plan.axes if axis not in with_orders and _has_codes(plan, axis)]
 
 

@@ -86,6 +86,9 @@ class Decoded:
         Where neighbours unwrapped the fringes: the number of the island that the pixel belongs to, negative
         where its fringe order is unknown, so that its coordinates are right up to a whole number of periods
         that all of the island shares; 0 where nothing is measured. None where the plan tells the orders.
+    resolution_px : float or None
+        Width of what one frame of fringes still shows, in camera px: its pixels share their neighbours'
+        noise. None where every pixel is measured by itself. It is not saved.
     """
 
     u: Map
@@ -102,6 +105,7 @@ class Decoded:
     drifts: Mapping[Axis, PointingDrift] = field(default_factory=dict)
     edges: EdgeBlur | None = None
     island: NDArray[np.int32] | None = None
+    resolution_px: float | None = None
 
     def __repr__(self) -> str:
         height, width = self.sigma.shape

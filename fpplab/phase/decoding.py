@@ -48,6 +48,7 @@ from fpplab.phase.guided_axis import around_prediction, joined
 from fpplab.phase.isolated import isolated_pixels
 from fpplab.phase.kernels import decode_pixels, erase_doubtful
 from fpplab.phase.limits import BIASED_ORDERS, ORDERS
+from fpplab.phase.one_frame import decode_single_frame, single_frame
 from fpplab.phase.order_vote import vote_orders
 from fpplab.phase.outside import outside_share
 from fpplab.phase.precision import coordinate_spread
@@ -97,6 +98,8 @@ def decode(
             f"recording: takes a Recording, such as session.recording(), not a {type(recording).__name__}"
         )
     recording = recording.checked()
+    if single_frame(recording.plan):
+        return decode_single_frame(recording, bounds or {}, progress)
     if recording.fringe_part is recording:
         return _decode_fringes(recording, progress, bounds or {})
     return _decode_codes_and_fringes(recording, progress, bounds or {})

@@ -369,6 +369,28 @@ class IslandLimits(NamedTuple):
     `GuidedAxisLimits`."""
 
 
+class OneFrameLimits(NamedTuple):
+    """Limits of the fringes of one frame."""
+
+    window_periods: float = 0.6
+    """Standard deviation of the window in periods of the carrier. Chosen: a fringe that is wider or narrower
+    by a third keeps four fifths of its modulation in the first fit."""
+    window_reach: float = 4.0  # standard deviations at which the window ends (chosen)
+    min_window_share: float = 0.99
+    """Share of a window that must lie on usable pixels. Chosen: its middle is then off by 0.03 of its
+    standard deviation."""
+    max_rest_ratio: float = 2.0
+    """Mean square of what a fit leaves, beside the median of all, up to which a window holds one surface.
+    Chosen: noise scatters by some percent, a step of a tenth of a period leaves more."""
+    min_periods: float = 4.0  # periods across the image of the widest carrier (chosen)
+    min_period_px: float = 3.0  # period of the finest carrier in px (chosen: two are no wave)
+    min_peak_ratio: float = 100.0
+    """Power of the carrier beside the median of waves of similar length. Chosen: noise reaches 20."""
+    ridge: float = 1e-9
+    """Added to the normal equations, whose greatest terms are 1. Chosen: keeps them solvable where no pixel
+    is usable."""
+
+
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
@@ -381,3 +403,4 @@ NEIGHBOURS = NeighbourLimits()
 EDGES = EdgeLimits()
 CODES = CodeLimits()
 ISLANDS = IslandLimits()
+ONE_FRAME = OneFrameLimits()
