@@ -14,7 +14,8 @@ from benchmarks import Result
 from fpplab.cli import console
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import with_calibrations
-from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
+from fpplab.optimisation.candidate import Candidate
+from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 
@@ -48,7 +49,7 @@ def _smcd_um(rig: str, study: Study, plan: Plan) -> float:
     """Mean over artefacts and seeds; tells wrong orders and completeness too."""
     evaluator = RigEvaluator(rig, study.model_copy(update={"start": plan}))
     try:
-        candidate = candidate_from_plan(plan)
+        candidate = Candidate.of(plan)
         scores = [score for seed in SEEDS for score in evaluator.measure(candidate, seed)]
     finally:
         evaluator.close()

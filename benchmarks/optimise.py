@@ -43,9 +43,10 @@ from fpplab.core.errors import DataError
 from fpplab.devices.rig import Rig
 from fpplab.optimisation import figures
 from fpplab.optimisation.arrangement import with_calibrations
+from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
 from fpplab.optimisation.confirm_result import ConfirmedPlan, confirm_result
-from fpplab.optimisation.measuring import RigEvaluatorFactory, candidate_from_plan
+from fpplab.optimisation.measuring import RigEvaluatorFactory
 from fpplab.optimisation.methods.gradient import Gradient
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.run import run_search
@@ -316,8 +317,7 @@ def _scale(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
     study = _characterised(trial.search, trial.stripes, folder)
     factory = RigEvaluatorFactory(trial.search, study)
     tasks = [
-        (one, study.seeds[0])
-        for one in candidates_like(candidate_from_plan(study.start), WARM + trial.measured)
+        (one, study.seeds[0]) for one in candidates_like(Candidate.of(study.start), WARM + trial.measured)
     ]
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as claims:
         place = Path(claims)

@@ -34,8 +34,8 @@ def build(
 ) -> None:
     """Build a firmware file that contains a plan's patterns, for the projector to show from flash.
 
-    Three patterns of 8 bits go into each image, in green, red and blue, sampled on the diamond lattice of the
-    mirrors and corrected with the plan's response; the grey levels of `fpplab gamma` and `fpplab check`
+    Each image has 24 bit planes, for three patterns of 8 bits or six of 4, sampled on the diamond lattice of
+    the mirrors and corrected with the plan's response; the grey levels of `fpplab gamma` and `fpplab check`
     follow. The images of BASE are replaced, its program is not changed. An index, a .yaml file next to OUT,
     lists where each pattern is: the rig file names it as `flash`.
 

@@ -94,8 +94,8 @@ class OnVideo:
 
     def play(self, board: Controller, exposure_us: int, dark_us: int, period_us: int) -> None:
         """Show all patterns once, frame by frame, and wait for the end of each frame's patterns."""
-        # Patterns of one frame follow each other at once. Where pulses have to be farther apart, every
-        # pattern has a frame of its own.
+        # Patterns of one frame follow each other at once, so each stays until the next may come. Where pulses
+        # have to be farther apart than a frame lasts, every pattern has a frame of its own.
         if dark_us:
             raise CapabilityError(
                 self._name,
@@ -112,7 +112,7 @@ class OnVideo:
             )
         with board.dark_on_failure():
             board.go_dark()
-            self._play_frames(board, exposure_us, period_us)
+            self._play_frames(board, min(max(exposure_us, period_us), self._frame_us), period_us)
 
     def check_played(self, board: Controller) -> None:
         """Do nothing: `play` has waited for the end of every frame."""

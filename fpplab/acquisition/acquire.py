@@ -82,7 +82,8 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
 def end_markers(plan: Plan, size: tuple[int, int]) -> list[Pattern]:
     """Make the patterns that follow a plan whose frames alone cannot reveal a trigger slip."""
     needed = plan.trigger == "triggered" and not provable(plan)
-    return list(uniform_patterns([0, 255], size)) if needed else []
+    # In a depth that the plan has: others might make every exposure longer.
+    return uniform_patterns([0, 255], size, min(s.bit_depth for s in plan.sets)) if needed else []
 
 
 def _ends_black_and_white(brightness: Sequence[float]) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Protocol
 
 from fpplab.core.conventions import Axis
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets import MAX_PATTERN_BITS, Sinusoid
 from fpplab.patterns.plan import Plan
 
 Point = tuple[float, ...]
@@ -20,6 +20,7 @@ class Fringes:
     axis: Axis  # direction along which the phase grows
     stripes: float  # number of periods across the projector
     steps: int  # number of phase-shifted images
+    pattern_bits: int | None = None  # bits in which they are projected; None for all that there are
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,19 @@ class Candidate:
     stage_mm: float | None = None  # position of the stage that moves a device, which sets the baseline
     convergence_deg: float | None = None  # rotation of the projector towards the camera in degrees
 
+    @classmethod
+    def of(cls, plan: Plan) -> Candidate:
+        sets = tuple(Fringes(f.axis, f.stripes, f.images, f.pattern_bits) for f in plan.fringes)
+        return cls(sets, plan.exposure_s, plan.stage_mm)
+
     @property
     def images(self) -> int:
         return sum(fringes.steps for fringes in self.fringes)
+
+    @property
+    def pattern_bits(self) -> int:
+        """Most bits in which images are projected."""
+        return max(fringes.pattern_bits or MAX_PATTERN_BITS for fringes in self.fringes)
 
     def plan(self, template: Plan) -> Plan:
         sets = tuple(Sinusoid(**asdict(fringes)) for fringes in self.fringes)

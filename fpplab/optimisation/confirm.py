@@ -13,7 +13,8 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.optimisation.arrangement import StageCalibrations
-from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
+from fpplab.optimisation.candidate import Candidate
+from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.problem import SearchProblem
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.patterns.plan import Plan
@@ -112,7 +113,7 @@ def compare_plans(
         raise ConfigError(f"--repeats: {repeats}: at least 2, or nothing is known of the uncertainty")
     _check_comparable(before, after)
     evaluator = RigEvaluator(rig, problem.model_copy(update={"start": before}), LIMITS.samples)
-    plans = candidate_from_plan(before), candidate_from_plan(after)
+    plans = Candidate.of(before), Candidate.of(after)
     by_plan: dict[tuple[int, str], list[ArtefactFigures]] = defaultdict(list)
     varied: dict[int, list[list[float]]] = defaultdict(list)
     try:
@@ -142,7 +143,7 @@ def _sampled_calibrations(calibrations: StageCalibrations) -> list[StageCalibrat
 
 
 def _check_comparable(before: Plan, after: Plan) -> None:
-    other = candidate_from_plan(after).plan(before)
+    other = Candidate.of(after).plan(before)
     for name in type(before).model_fields:
         if name != "fringes" and getattr(other, name) != getattr(after, name):
             raise ConfigError(

@@ -39,6 +39,7 @@ class _Key:
     setup: MeasuringSetup
     axis: Axis
     stripes: float
+    pattern_bits: int | None
     seed: int
     place: int
 
@@ -73,7 +74,9 @@ class FringeSetCache:
         return [frame for frames in sets if frames is not None for frame in frames]
 
     def _key(self, setup: MeasuringSetup, fringes: Fringes, place: int, seed: int) -> _Key:
-        return _Key(setup, fringes.axis, fringes.stripes, seed, place if self._seeded else 0)
+        return _Key(
+            setup, fringes.axis, fringes.stripes, fringes.pattern_bits, seed, place if self._seeded else 0
+        )
 
     def _cached_frames(self, key: _Key, steps: int) -> list[Image] | None:
         """Frames of a set from the set itself, or else from the smallest that contains it."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from fpplab.core.conventions import Axis, axis_length
@@ -10,9 +10,6 @@ from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Seeded, Turnable
 from fpplab.optimisation.candidate import Candidate
-from fpplab.patterns.fringes import Pattern
-
-BITS = Pattern.bit_depth  # bit depth in which fringes are projected
 
 
 @dataclass(frozen=True)
@@ -22,7 +19,8 @@ class RigLimits:
     name: str  # name in the rig's file
     size: tuple[int, int]  # width and height of the projector in pixels
     max_patterns: int  # patterns that the projector can hold
-    exposure_s: tuple[float, float]  # shortest and longest exposure that both projector and camera can do
+    exposure_s: tuple[float, float]  # shortest and longest exposure of the camera
+    bit_depths: Mapping[int, float]  # shortest exposure of the projector by the bits of its patterns
     dead_time_s: float  # time between two exposures in seconds
     stage_mm: tuple[float, float] | None  # travel of the stage in mm; None without a stage
     can_turn_projector: bool  # whether the projector can be rotated, which only a simulation can do
@@ -32,27 +30,19 @@ class RigLimits:
     @classmethod
     def of(cls, rig: Rig) -> RigLimits:
         projector, camera = rig.projector.caps, rig.camera.caps
-        if BITS not in projector.bit_depths:
-            raise ConfigError(
-                f"{rig.file.name}: its projector shows {sorted(projector.bit_depths)} bits, not {BITS}"
-            )
         held = rig.need_fixture("a search").caps.items
-        shortest_s, longest_s = camera.exposure_s
         return cls(
             name=rig.file.name,
             size=projector.size,
             max_patterns=projector.max_patterns,
-            exposure_s=(max(shortest_s, projector.bit_depths[BITS]), longest_s),
+            exposure_s=camera.exposure_s,
+            bit_depths=projector.bit_depths,
             dead_time_s=camera.readout_s + camera.dark_s,
             stage_mm=rig.stage.caps.travel_mm if rig.stage else None,
             can_turn_projector=isinstance(rig.simulation, Turnable),
             items=None if held is None else frozenset(held),
             allows_copies=isinstance(rig.simulation, Seeded),
         )
-
-    @property
-    def max_images_per_second(self) -> float:
-        return 1.0 / (self.exposure_s[0] + self.dead_time_s)
 
     def max_stripes(self, axis: Axis, pixels_per_period: float) -> float:
         return axis_length(self.size, axis) / pixels_per_period
@@ -67,16 +57,23 @@ class RigLimits:
                 )
         if candidate.images > self.max_patterns:
             yield f"{candidate.images} images: the projector holds at most {self.max_patterns} patterns"
-        shortest_s, longest_s = self.exposure_s
-        if not shortest_s <= candidate.exposure_s <= longest_s:
-            yield (
-                f"'exposure_s' is {candidate.exposure_s:g}: with {BITS} bits from {shortest_s:g} s, which is "
-                f"{self.max_images_per_second:.4g} images per second, to {longest_s:g} s"
-            )
+        yield from self._light_refusals(candidate)
         if candidate.stage_mm is not None:
             yield from self._stage_refusals(candidate.stage_mm)
         if candidate.convergence_deg and not self.can_turn_projector:
             yield f"'convergence_deg' is {candidate.convergence_deg:g}: its projector cannot be turned"
+
+    def _light_refusals(self, candidate: Candidate) -> Iterator[str]:
+        bits, (shortest_s, longest_s) = candidate.pattern_bits, self.exposure_s
+        if bits not in self.bit_depths:
+            yield f"'pattern_bits' is {bits}: its projector shows {sorted(self.bit_depths)}"
+            return
+        shortest_s = max(shortest_s, self.bit_depths[bits])
+        if not shortest_s <= candidate.exposure_s <= longest_s:
+            yield (
+                f"'exposure_s' is {candidate.exposure_s:g}: with {bits} bits from {shortest_s:g} s, which is "
+                f"{1.0 / (shortest_s + self.dead_time_s):.4g} images per second, to {longest_s:g} s"
+            )
 
     def _stage_refusals(self, mm: float) -> Iterator[str]:
         if self.stage_mm is None:

@@ -22,7 +22,7 @@ from fpplab.core.errors import CalibrationError, ConfigError, DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import RigArranger, StageCalibrations
-from fpplab.optimisation.candidate import Candidate, Fringes, Score
+from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.fringe_cache import FringeSetCache, MeasuringSetup
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.problem import SearchProblem
@@ -36,17 +36,12 @@ from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
 
 
-def candidate_from_plan(plan: Plan) -> Candidate:
-    sets = tuple(Fringes(fringes.axis, fringes.stripes, fringes.images) for fringes in plan.fringes)
-    return Candidate(sets, plan.exposure_s, plan.stage_mm)
-
-
 class RigEvaluator:
     """Measures candidates on an open rig, with cached fringe sets."""
 
     def __init__(self, rig: str, problem: SearchProblem, samples: int | None = LIMITS.samples) -> None:
         self._file, self._problem, self._samples = rig, problem, samples
-        self._first, self._stack = candidate_from_plan(problem.start), ExitStack()
+        self._first, self._stack = Candidate.of(problem.start), ExitStack()
         self._true_shapes: OrderedDict[tuple[str, float | None, float | None], TrueShape] = OrderedDict()
         self._placed: dict[str, trimesh.Trimesh] = {}
 

@@ -12,6 +12,7 @@ from fpplab.core.conventions import Axis
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation import objectives  # noqa: F401 - defines the objectives
 from fpplab.optimisation.objective import registered_objectives
+from fpplab.patterns.fringe_sets import PatternBits
 from fpplab.patterns.plan import Plan
 
 ANY_RIG = "any"  # value of `SearchProblem.rig` for a study that suits any rig
@@ -35,6 +36,9 @@ Positives = tuple[Positive, Positive]
 Range = tuple[float, float]
 
 
+OF_ALL_SETS = ("exposure_s", "pattern_bits", "stage_mm", "convergence_deg")  # parameters beside the sets' own
+
+
 class SpaceFile(Document):
     """Bounds [least, most] of what is searched."""
 
@@ -51,6 +55,8 @@ class SpaceFile(Document):
     """Fringe directions to choose from."""
     exposure_s: Positives | None = None
     """Exposure of every image in seconds."""
+    pattern_bits: tuple[PatternBits, PatternBits] | None = None
+    """Bits in which every image is projected: fewer allow shorter exposures, and are dithered."""
     stage_mm: Range | None = None
     """Position of the stage in mm, which sets the baseline."""
     stage_every_mm: Positive | None = None
@@ -77,7 +83,7 @@ class SpaceFile(Document):
         named: list[tuple[str, tuple[float, float] | None]] = [("sets", self.sets)]
         named += [(f"steps[{i}]", bounds) for i, bounds in enumerate(self.steps)]
         named += [(f"stripes[{i}]", bounds) for i, bounds in enumerate(self.stripes)]
-        named += [(name, getattr(self, name)) for name in ("exposure_s", "stage_mm", "convergence_deg")]
+        named += [(name, getattr(self, name)) for name in OF_ALL_SETS]
         return [(name, bounds) for name, bounds in named if bounds is not None]
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 
 from fpplab.core.errors import ConfigError
@@ -12,7 +12,7 @@ from fpplab.optimisation.candidate import Candidate, Fringes, Point
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.problem import SearchProblem
 from fpplab.optimisation.scope import ParameterGroup
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets import MAX_PATTERN_BITS, Sinusoid
 from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import check_unwrapping
 
@@ -87,6 +87,7 @@ class SearchSpace:
                 fringe,
                 steps=int(values.get(f"steps[{i}]", fringe.steps)),
                 stripes=values.get(f"stripes[{i}]", fringe.stripes),
+                pattern_bits=_pattern_bits(values, fringe.pattern_bits),
             )
             for i, fringe in enumerate(template.fringes)
         ]
@@ -122,12 +123,12 @@ def _template_candidate(problem: SearchProblem, source: str) -> Candidate:
     plan, space = problem.start, problem.space
     if not unwrapping_methods()[plan.unwrapping].guided:
         check_unwrapping(plan, source)  # a guided one is checked where the calibration is known
-    if any(f != Sinusoid(axis=f.axis, stripes=f.stripes, steps=f.images) for f in plan.fringes):
+    fringes = list(Candidate.of(plan).fringes)
+    if any(f != Sinusoid(**asdict(own)) for f, own in zip(plan.fringes, fringes, strict=True)):
         raise ConfigError(f"{source}: 'start' has fringes of imported images, which no rig projects")
     searched = plan.axes if space.axis else plan.unwrapped_axes
     if (space.sets or space.axis) and len(searched) > 1:
         raise ConfigError(f"{source}: 'space' searches sets or axis, and 'start' has fringes along both axes")
-    fringes = [Fringes(f.axis, f.stripes, f.images) for f in plan.fringes]
     count = space.sets[1] if space.sets else len(fringes)
     for name in ("steps", "stripes"):
         bounds = len(getattr(space, name))
@@ -139,6 +140,13 @@ def _template_candidate(problem: SearchProblem, source: str) -> Candidate:
         fringes.insert(i, _additional_set(problem, i, source))
     convergence_deg = 0.0 if space.convergence_deg is not None else None
     return Candidate(tuple(fringes), plan.exposure_s, plan.stage_mm, convergence_deg)
+
+
+def _pattern_bits(values: Mapping[str, float], otherwise: int | None) -> int | None:
+    """Bits of a set's patterns; as in a plan, None for all that there are."""
+    if "pattern_bits" not in values:
+        return otherwise
+    return None if values["pattern_bits"] == MAX_PATTERN_BITS else int(values["pattern_bits"])
 
 
 def _additional_set(problem: SearchProblem, i: int, source: str) -> Fringes:
@@ -165,6 +173,8 @@ def _parameters(problem: SearchProblem) -> Iterator[Parameter]:
         yield Parameter("axis", "stripes", 0, len(space.axis) - 1, is_integer=True)
     if space.exposure_s:
         yield Parameter("exposure_s", "light", *space.exposure_s, is_logarithmic=True)
+    if space.pattern_bits:
+        yield Parameter("pattern_bits", "light", *space.pattern_bits, is_integer=True)
     if space.stage_mm:
         yield Parameter("stage_mm", "geometry", *space.stage_mm, grid_step=space.stage_every_mm)
     if space.convergence_deg:
@@ -235,6 +245,8 @@ def _check_rig_reach(space: SearchSpace, i: int, bound: float, source: str) -> N
     point[i] = bound
     if "sets" in names:
         point[names.index("sets")] = space.parameters[names.index("sets")].upper
+    if names[i] == "exposure_s" and "pattern_bits" in names:  # the fewest bits allow the shortest exposure
+        point[names.index("pattern_bits")] = space.parameters[names.index("pattern_bits")].lower
     for axis in range(len(space.problem.space.axis) or 1):
         if "axis" in names:
             point[names.index("axis")] = axis

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import (
-    Lattice,
-    full_scale,
-)
+from fpplab.core.conventions import Lattice, full_scale
+from fpplab.patterns.fringe_sets import MAX_PATTERN_BITS
 from fpplab.patterns.plan import Plan
+
+Level = TypeVar("Level", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,17 +22,17 @@ class Pattern:
 
     id: str  # names the pattern in frames and journals
     image: NDArray[np.uint8]  # grey levels [row
-    bit_depth: int = 8  # bits per mirror that the projector shows
+    bit_depth: int = MAX_PATTERN_BITS  # bits per mirror that the projector shows
 
 
-def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8]:
+def quantise(level: NDArray[np.float64], bit_depth: int = MAX_PATTERN_BITS) -> NDArray[np.uint8]:
     """Round levels to the nearest grey level of a projector."""
     greys = full_scale(bit_depth)
     return np.asarray(np.rint(np.rint(level * greys) * (255.0 / greys)), np.uint8)
 
 
 def pattern_image(
-    plan: Plan, index: int, step: int, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
+    plan: Plan, index: int, step: int, size: tuple[int, int], lattice: Lattice
 ) -> NDArray[np.uint8]:
     # It is corrected for the plan's response before it is quantised, so that each grey level is the nearest
     # to the light that is wanted.
@@ -40,33 +41,41 @@ def pattern_image(
     # Along x two rows hold all there is, on either lattice; along y one column does.
     repeated = (1, height) if shown.coded_axis == "y" else (width, min(height, 2))
     level = shown.level(step, repeated, lattice)
-    greys = quantise(level if plan.response is None else plan.response.correct(level), bit_depth)
-    if shown.coded_axis == "y":
-        return np.repeat(greys, width, axis=1)
-    return np.resize(greys, (height, width))
+    light = level if plan.response is None else plan.response.correct(level)
+    if shown.bit_depth < MAX_PATTERN_BITS:
+        from fpplab.patterns.dither import diffuse
+
+        light = diffuse(_over_projector(light, size), full_scale(shown.bit_depth), lattice, step)
+    return _over_projector(quantise(light, shown.bit_depth), size)
 
 
-def make_patterns(
-    plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
-) -> tuple[Pattern, ...]:
+def _over_projector(repeated: NDArray[Level], size: tuple[int, int]) -> NDArray[Level]:
+    width, height = size
+    if repeated.shape[1] < width:
+        return np.repeat(repeated, width, axis=1)
+    return np.resize(repeated, (height, width))
+
+
+def make_patterns(plan: Plan, size: tuple[int, int], lattice: Lattice) -> tuple[Pattern, ...]:
     # A plan with a response gives the patterns whose light is sinusoidal, see `pattern_image`. The same
     # arguments give the same, read-only, patterns again, so that a backend can tell them by identity.
     plan.check_projector(size, "plan")
-    return _make_patterns_cached(plan, size, lattice, bit_depth)
+    return _make_patterns_cached(plan, size, lattice)
 
 
 @lru_cache(maxsize=4)
-def _make_patterns_cached(
-    plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int
-) -> tuple[Pattern, ...]:
+def _make_patterns_cached(plan: Plan, size: tuple[int, int], lattice: Lattice) -> tuple[Pattern, ...]:
     patterns = []
     for i, n, name in plan.steps():
-        image = pattern_image(plan, i, n, size, lattice, bit_depth)
+        image = pattern_image(plan, i, n, size, lattice)
         image.flags.writeable = False
-        patterns.append(Pattern(name, image, bit_depth))
+        patterns.append(Pattern(name, image, plan.sets[i].bit_depth))
     return tuple(patterns)
 
 
-def uniform_patterns(greys: list[int], size: tuple[int, int]) -> list[Pattern]:
+def uniform_patterns(
+    greys: list[int], size: tuple[int, int], bit_depth: int = MAX_PATTERN_BITS
+) -> list[Pattern]:
     """Make uniform grey-level images, for measuring the response and for alignment."""
-    return [Pattern(f"grey-{grey:03d}", np.full((size[1], size[0]), grey, np.uint8)) for grey in greys]
+    width, height = size
+    return [Pattern(f"grey-{g:03d}", np.full((height, width), g, np.uint8), bit_depth) for g in greys]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.special import erfc
 
-from fpplab.core.conventions import Axis, Map
+from fpplab.core.conventions import Axis, Floats, Map
 from fpplab.patterns.plan import Plan
 from fpplab.phase.alternatives import alternatives_of
 from fpplab.phase.decoded import Decoded
@@ -22,19 +22,26 @@ def order_risk(
     interval_shares: Mapping[Axis, float | None] | None = None,
 ) -> Map:
     """Estimate the probability that noise gives a pixel a wrong fringe order, from its uncertainty."""
-    # A shifted position whose phases are χ² = d² away, in units of their noise, is the likelier one with the
-    # probability `erfc(d / √8) / 2`; the sum over all shifts, in both directions, bounds the risk from above.
-    # Shifts that only pixels near the projector's edges can suffer are not counted.
     # projector_size (width, height) px; returns (height, width)
     risk = np.where(decoded.valid, np.float32(0.0), np.float32(np.nan))
     for axis in plan.unwrapped_axes:
-        sequence = wavelength_sequence(plan, axis, "plan", (interval_shares or {}).get(axis))
-        alternatives = alternatives_of(plan, sequence)
-        counted = alternatives.separations[alternatives.separations >= 0.99 * alternatives.least_separation]
         # Uncertainty of the first coded axis, and from it the noise of a grey level over its modulation.
         sigma = decoded.sigma if axis == plan.axes[0] else decoded.sigma * np.float32(decoded.v_per_u)
         noise = sigma / coordinate_spread(plan, axis, projector_size)
-        with np.errstate(divide="ignore"):
-            of_axis = sum(erfc(np.sqrt(separation / 8.0) / noise) for separation in counted)
-        risk = np.maximum(risk, np.minimum(of_axis, 1.0).astype(np.float32) if len(counted) else risk)
+        of_axis = wrong_order_chance(plan, axis, noise, (interval_shares or {}).get(axis))
+        risk = np.maximum(risk, of_axis.astype(np.float32))
     return risk
+
+
+def wrong_order_chance(plan: Plan, axis: Axis, noise: Floats, interval_share: float | None = None) -> Floats:
+    """Compute the probability of a wrong order where noise is that share of the modulation."""
+    # A shifted position whose phases are χ² = d² away, in units of their noise, is the likelier one with the
+    # probability `erfc(d / √8) / 2`; the sum over all shifts, in both directions, bounds the risk from above.
+    # Shifts that only pixels near the projector's edges can suffer are not counted.
+    alternatives = alternatives_of(plan, wavelength_sequence(plan, axis, "plan", interval_share))
+    counted = alternatives.separations[alternatives.separations >= 0.99 * alternatives.least_separation]
+    chance = np.zeros(np.shape(noise))
+    with np.errstate(divide="ignore"):
+        for separation in counted:
+            chance += erfc(np.sqrt(separation / 8.0) / noise)
+    return np.asarray(np.minimum(chance, 1.0))

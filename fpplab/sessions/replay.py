@@ -142,7 +142,8 @@ class ReplayProjector(Projector):
 
     def _caps(self) -> ProjectorCaps:
         size, lattice = self._recording.session.projector()
-        return ProjectorCaps(size, lattice, {8: 0.0}, trigger_outputs=0, max_patterns=len(self._recorded))
+        depths = {pattern.bit_depth: 0.0 for _, pattern in self._recorded.values()}
+        return ProjectorCaps(size, lattice, depths, trigger_outputs=0, max_patterns=len(self._recorded))
 
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         self._indices = [self._recorded_index(p) for p in patterns]

@@ -8,9 +8,12 @@ from pathlib import Path
 
 from fpplab.acquisition.acquire import end_markers
 from fpplab.acquisition.timing import planned_timing
+from fpplab.calibration.model import Calibration
+from fpplab.core.depth import first_stated
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
+from fpplab.setup.plan_precision import PlanPrecision, plan_precision
 
 
 @dataclass(frozen=True)
@@ -28,9 +31,12 @@ class PlanPreview:
     period_s: float  # least s from one pattern to the next
     period_set_by: str  # what keeps it from being shorter
     least_s: float  # least s for all patterns, without loading them and preparing the devices
+    precision: PlanPrecision | None  # what noise makes of it; None for codes that are no fringes
 
 
-def preview_plan(rig: Rig, plan: Plan, source: Path | str) -> tuple[PlanPreview, Sequence[Pattern]]:
+def preview_plan(
+    rig: Rig, plan: Plan, source: Path | str, noise: float = 0.02, calibration: Calibration | None = None
+) -> tuple[PlanPreview, Sequence[Pattern]]:
     # The camera is configured and the patterns are loaded, as for a measurement; nothing is projected. What
     # shows only while patterns are shown is not found, such as a trigger cable that is not connected.
     camera, caps = rig.camera, rig.projector.caps
@@ -52,5 +58,8 @@ def preview_plan(rig: Rig, plan: Plan, source: Path | str) -> tuple[PlanPreview,
         period_s=timing.period_s,
         period_set_by=timing.limit,
         least_s=len(patterns) * timing.period_s,
+        precision=plan_precision(
+            plan, caps.size, noise, calibration, first_stated((plan.depth_mm, ""), (rig.file.depth_mm, ""))
+        ),
     )
     return preview, patterns

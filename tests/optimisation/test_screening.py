@@ -14,7 +14,7 @@ from fpplab.core.errors import DataError
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Predictable
 from fpplab.optimisation.candidate import Candidate, Fringes
-from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
+from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.run import journal_paths, run_search
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.screening import SampledEvaluator, can_screen
@@ -121,7 +121,7 @@ def test_a_screened_search_measures_the_start_and_what_it_has_found(wanted: Stud
     distance = np.mean([score.surface_smcd_um for score in again])
     assert distance == pytest.approx(found.optimum.figures.surface_smcd_um, rel=0.06)
     assert f"{distance:.2f} µm mean distance" in out.read_text().splitlines()[0]
-    assert candidate_from_plan(config.load_document(out, type(wanted.start))) == found.optimum.candidate
+    assert Candidate.of(config.load_document(out, type(wanted.start))) == found.optimum.candidate
 
 
 @pytest.mark.whole

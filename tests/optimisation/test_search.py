@@ -120,6 +120,17 @@ def test_axis_exposure_and_geometry_are_parameters(tmp_path: Path) -> None:
     assert (moved.exposure_s, moved.convergence_deg, moved.stage_mm) == (0.05, 2.0, 0.0)
 
 
+def test_fewer_bits_allow_shorter_exposures(tmp_path: Path) -> None:
+    space = runner_of(tmp_path, space={"exposure_s": [0.0017, 0.1], "pattern_bits": [4, 8]}).space
+    plans = [space.candidate((0.002, bits)) for bits in (4.0, 8.0, 5.0)]
+    assert [{f.pattern_bits for f in c.fringes} for c in plans] == [{4}, {None}, {5}]
+    assert [s.bit_depth for s in plans[0].plan(space.problem.start).sets] == [4, 4, 4]
+    refusals = [space.refusal(candidate) for candidate in plans]
+    assert refusals[0] is None
+    assert "with 8 bits from 0.008333 s" in str(refusals[1])
+    assert "'pattern_bits' is 5: its projector shows [1, 4, 8]" in str(refusals[2])
+
+
 def test_infeasible_point_is_refused_with_its_reason(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, constraints={"images": 36})
     crossed, shown = runner.measure([(30.0, 20.0), (5.0, 40.0)])

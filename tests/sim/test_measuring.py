@@ -17,7 +17,7 @@ from fpplab.core import config
 from fpplab.core.errors import CalibrationError, ConfigError, DataError
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
-from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
+from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.study import Study
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
@@ -106,8 +106,8 @@ def test_guided_orders_follow_the_depth_range_of_the_plan(folder: Path) -> None:
 @pytest.mark.whole
 def test_score_agrees_with_a_scan_and_its_comparison(folder: Path, tmp_path: Path) -> None:
     """Only the noise differs."""
-    plan = candidate_from_plan(START).plan(START).model_copy(update={"stage_mm": 0.0})
-    score = measured(folder, (candidate_from_plan(plan), 1))[0][0]
+    plan = Candidate.of(START).plan(START).model_copy(update={"stage_mm": 0.0})
+    score = measured(folder, (Candidate.of(plan), 1))[0][0]
     with Rig.load(folder / "rig.yaml") as rig:
         session = take_or_resume_session(rig, plan, tmp_path / "scan", ("pillars", 0))
         true = artefacts.make("pillars")

@@ -20,7 +20,7 @@ import numpy as np
 from drivers.dlp4500.flash import memory
 from drivers.dlp4500.flash.compression import CompressedImage, compress, repeats_every_four_lines
 from drivers.dlp4500.packing import pack_images
-from drivers.dlp4500.sequence import SIZE, Slot
+from drivers.dlp4500.sequence import SIZE, Slot, pattern_numbers
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import read_bounded
 from fpplab.patterns.fringes import Pattern
@@ -38,8 +38,6 @@ _SPLASH_BLOCKS = range(20, 24)
 SPLASH_ENTRY = _BLOCKS + _SPLASH_BLOCKS[0] * _BLOCK.size  # offset of the splash area's address in the table
 
 _UNUSED = 0xFFFFFFFF  # address and size of a table entry that is not used, as erased flash reads
-
-PER_IMAGE = 3  # patterns of 8 bits in an image: in green, red and blue
 
 STORED = (2, 1, 0)  # order of the colour planes in a stored pixel: blue, red, green
 
@@ -152,16 +150,17 @@ class Firmware:
 
 
 def arrange_patterns(patterns: Sequence[Pattern]) -> list[Slot]:
-    """Assign patterns to flash images in their order, three to an image."""
+    """Assign patterns to flash images in their order, as many of equal bit depth to an image as it holds."""
     # Patterns that repeat every four lines and others never share an image, as a single other pattern would
     # prevent the four-line compression of the image.
     slots: list[Slot] = []
-    image, number, repeated = -1, PER_IMAGE, False
+    image, number, shared = -1, 0, None
     for pattern in patterns:
-        repeats = repeats_every_four_lines(pattern.image)
-        if number == PER_IMAGE or repeats != repeated:
-            image, number, repeated = image + 1, 0, repeats
-        slots.append(Slot(image, number, bits=8))
+        bits = pattern.bit_depth
+        kind = bits, repeats_every_four_lines(pattern.image)
+        if kind != shared or number == len(pattern_numbers(bits)):
+            image, number, shared = image + 1, 0, kind
+        slots.append(Slot(image, number, bits))
         number += 1
     return slots
 
@@ -171,10 +170,6 @@ def _check(patterns: Sequence[Pattern]) -> None:
         raise ConfigError("no patterns were given")
     width, height = SIZE
     for pattern in patterns:
-        if pattern.bit_depth != 8:
-            raise ConfigError(
-                f"pattern {pattern.id} has {pattern.bit_depth} bits: flash images are built of 8 bits"
-            )
         if pattern.image.shape != (height, width):
             size = " x ".join(map(str, pattern.image.shape[::-1]))
             raise ConfigError(

@@ -44,17 +44,26 @@ def show_command(
         ),
     ],
     rig: RigName,
+    calibration: Annotated[
+        Path | None, option("--calibration", "Of the rig; depths then have an uncertainty, too.")
+    ] = None,
+    noise: Annotated[
+        float,
+        option("--noise", "Of a grey level, as a share of the modulation.", min=1e-6, max=1),
+    ] = 0.02,
     out: Annotated[Path | None, option("--out", "Picture of all patterns, as PNG.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Show what a plan takes on a rig: images, bit planes, times; refuse one that cannot work.
+    """Show what a plan takes on a rig and gives: images, bit planes, times, uncertainties.
 
-    Opens the rig, configures the camera and loads the patterns, and projects nothing. Times are least
-    times, by what the devices say of themselves; loading patterns comes on top.
+    Opens the rig, configures the camera and loads the patterns, projects nothing, and refuses a plan that
+    cannot work. Times are least times, by what the devices say of themselves; loading patterns comes on top.
+    Uncertainties are those of noise alone, with grey levels that scatter by --noise of the modulation.
 
     Example: `fpplab plan show plan_paper --rig rig_demo --out patterns.png`
     """
+    from fpplab.calibration.model import Calibration
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
@@ -65,13 +74,16 @@ def show_command(
         refuse_existing(out, force)
     loaded_plan = Plan.load(plan)
     with Rig.load(rig) as bench:
-        preview, patterns = preview_plan(bench, loaded_plan, plan)
+        known = Calibration.load(calibration) if calibration else None
+        preview, patterns = preview_plan(bench, loaded_plan, plan, noise, known)
     if out:
         from fpplab.report.figures import pattern_sheet
 
         drawn = pattern_sheet(patterns)
         write_atomic(out, lambda stream: stream.write(drawn))
-    console.print_result(asdict(preview), json)
+    result = asdict(preview)
+    precision = result.pop("precision") or {}
+    console.print_result(result | precision, json)
 
 
 @plan_app.command("guess")

@@ -29,6 +29,10 @@ from fpplab.core.conventions import (
     phase_of_coordinate,
 )
 
+MAX_PATTERN_BITS = 8
+"""Bits per mirror of a pattern at most, and by default: those of its grey levels 0 to 255."""
+
+PatternBits = Annotated[int, Field(ge=1, le=MAX_PATTERN_BITS)]
 Width = Annotated[int, Field(gt=1)]
 
 
@@ -74,6 +78,13 @@ class PatternSet(Document):
     projector_size: tuple[Width, Width] | None = None
     """(width, height) in px of the projector that the images were made for, where no rig says so."""
 
+    pattern_bits: PatternBits | None = None
+    """Bits per mirror in which the images are projected; by default 8. A projector shows fewer faster.
+
+    Levels between the few that there are, are dithered: the blur of the projector's lens takes off most of
+    the error. One bit is enough for codes of black and white.
+    """
+
     @property
     def coded_axis(self) -> Axis | None:
         """The projector axis along which the light changes; None where it is even."""
@@ -83,6 +94,11 @@ class PatternSet(Document):
     @abstractmethod
     def images(self) -> int:
         """How many images the set has, N."""
+
+    @property
+    def bit_depth(self) -> int:
+        """Bits per mirror in which the images are projected."""
+        return self.pattern_bits or MAX_PATTERN_BITS
 
     @abstractmethod
     def light(self, step: int, coordinate: Floats, length: int) -> Floats:
