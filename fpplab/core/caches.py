@@ -25,7 +25,10 @@ class CacheFolder:
 
 
 def cache_folders() -> list[CacheFolder]:
-    return [_described(path) for path in _folders()]
+    directory = cache_directory()
+    inside = sorted(directory.iterdir()) if directory.is_dir() else []
+    # A link may lead to anything.
+    return [_described(path) for path in inside if path.is_dir() and not path.is_symlink()]
 
 
 def clear_caches() -> list[CacheFolder]:
@@ -34,16 +37,6 @@ def clear_caches() -> list[CacheFolder]:
         with writing(folder.path), suppress(FileNotFoundError):  # another process clears it too
             shutil.rmtree(folder.path)
     return cleared
-
-
-def _folders() -> list[Path]:
-    directory = cache_directory()
-    return sorted(p for p in directory.iterdir() if _is_folder(p)) if directory.is_dir() else []
-
-
-def _is_folder(path: Path) -> bool:
-    """Whether it is a folder and not a link to one, which may hold anything."""
-    return path.is_dir() and not path.is_symlink()
 
 
 def _described(path: Path) -> CacheFolder:

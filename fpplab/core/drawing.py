@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
 from typing import Any, ParamSpec, cast
@@ -108,6 +108,14 @@ def sensor_axes(axes: Axes, size: tuple[int, int], device: str) -> None:
         xlabel=f"{device} u in px",
         ylabel=f"{device} v in px",
     )
+
+
+def name_poses(axes: Axes, names: Sequence[str]) -> None:
+    """Write the names of poses below an axis, rotated where they are more than eight."""
+    rotated = len(names) > 8
+    places = np.arange(len(names))
+    axes.set_xticks(places, names, rotation=35 if rotated else 0, ha="right" if rotated else "center")
+    axes.set_xlim(-0.6, len(names) - 0.4)
 
 
 def draw_map(

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure as Sheet
-from numpy.typing import NDArray
 
 from fpplab.comparison.acceptance import (
     CONVENTIONS,
@@ -44,16 +43,10 @@ RULE = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class _Drawn:
-    points: NDArray[np.float32]
-    pixels: NDArray[np.int32] | None
-
-    @classmethod
-    def of(cls, feature: MeasuredFeature) -> tuple[_Drawn, NDArray[np.float32]]:
-        """Select the points that were kept, and their signed distances in mm."""
-        pixels = None if feature.pixels is None else feature.pixels[feature.kept]
-        return cls(feature.points[feature.kept], pixels), feature.distances[feature.kept].astype(np.float32)
+def _kept_points(feature: MeasuredFeature) -> MeasuredFeature:
+    kept = feature.kept
+    pixels = None if feature.pixels is None else feature.pixels[kept]
+    return replace(feature, points=feature.points[kept], pixels=pixels, distances=feature.distances[kept])
 
 
 def write_acceptance_report(path: Path, result: AcceptanceResult) -> None:
@@ -153,20 +146,22 @@ def _plane_section(plane: PlaneTest, number: int) -> ReportSection:
         f"{plane.plane.point[2]:.0f} mm from the camera. Grey: not measured, or not evaluated."
     )
     caption = "Signed distance of every evaluated point from the fitted plane; red is towards the camera."
-    points, distances = _Drawn.of(plane.measured)
-    drawn = ReportFigure.of(error_map(points, distances), "Map of the plane's signed errors", caption, True)
+    kept = _kept_points(plane.measured)
+    drawn = ReportFigure.of(
+        error_map(kept, kept.distances), "Map of the plane's signed errors", caption, True
+    )
     return ReportSection(f"Plane, position {number}", text, figures=(drawn,))
 
 
 @as_png
 def sphere_errors(spheres: tuple[SphereTest, SphereTest]) -> Sheet:
     # The colours span ± the 98th percentile of the absolute error, which the colour bar states.
-    drawn = [_Drawn.of(test.measured) for test in spheres]
-    limit = error_limit(1e3 * np.concatenate([distances for _, distances in drawn]))
+    drawn = [_kept_points(test.measured) for test in spheres]
+    limit = error_limit(1e3 * np.concatenate([feature.distances for feature in drawn]))
     figure, panels = side_by_side(0.44 * FULL, (1.0, 1.0))
-    for axes, test, (points, distances) in zip(panels, spheres, drawn, strict=True):
-        grid = raster_of(points)
-        mapped, extent = rasterise(grid, 1e3 * distances[:, None])
+    for axes, test, feature in zip(panels, spheres, drawn, strict=True):
+        grid = raster_of(feature)
+        mapped, extent = rasterise(grid, 1e3 * feature.distances[:, None].astype(np.float32))
         mappable = draw_map(axes, mapped[..., 0], "RdBu_r", (-limit, limit), extent)
         axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
         title = f"Sphere {test.number}: PF {test.form_um:.1f} µm, RMS {test.measured.rms_um:.1f} µm"

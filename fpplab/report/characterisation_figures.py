@@ -24,13 +24,12 @@ from fpplab.core.drawing import (
     as_png,
     colour_bar,
     map_height,
+    name_poses,
     new_figure,
     sensor_axes,
     side_by_side,
     single_axes,
 )
-
-CROWDED = 8  # number of poses beyond which their names are rotated (chosen)
 
 EPIPOLAR = (
     "Distance in the projector's image between each point and the epipolar line of its camera pixel; it does "
@@ -79,9 +78,8 @@ def _by_pose(axes: Axes, names: Sequence[str], poses: Sequence[Floats], reach: f
     places = np.arange(len(poses))
     axes.hlines([d.mean() for d in poses], places - 0.4, places + 0.4, color=SECOND, linewidth=1.6)
     axes.axhline(0, color="#c4c8cc", linewidth=0.6, zorder=0)
-    rotated = len(names) > CROWDED
-    axes.set_xticks(places, names, rotation=35 if rotated else 0, ha="right" if rotated else "center")
-    axes.set(ylabel="distance in px", xlim=(-0.6, len(names) - 0.4), ylim=(-reach, reach))
+    name_poses(axes, names)
+    axes.set(ylabel="distance in px", ylim=(-reach, reach))
     axes.set_title("by pose, with its mean", fontsize=8.5)
 
 
@@ -99,8 +97,7 @@ def scales_by_pose(characterisation: Characterisation) -> Figure:
     axes.errorbar(
         places, 100 * (scales - np.median(scales)), 100 * sigmas, fmt="o", color=ACCENT, markersize=4
     )
-    rotated = len(names) > CROWDED
-    axes.set_xticks(places, names, rotation=35 if rotated else 0, ha="right" if rotated else "center")
+    name_poses(axes, names)
     axes.set(ylabel="scale relative to the median, in %")
     return figure
 
@@ -172,8 +169,7 @@ def judged_errors(judgement: Judgement) -> Figure:
         axes.hlines(
             [error.predicted_px for error in errors], places - 0.42, places + 0.42, color=INK, linewidth=1.6
         )
-        rotated = len(names) > CROWDED
-        axes.set_xticks(places, names, rotation=35 if rotated else 0, ha="right" if rotated else "center")
-        axes.set(ylabel="RMS error in px", xlim=(-0.6, len(names) - 0.4))
+        name_poses(axes, names)
+        axes.set(ylabel="RMS error in px")
         axes.set_title(device, fontsize=8.5)
     return figure

@@ -26,6 +26,7 @@ from fpplab.core.drawing import (
     draw_map,
     map_axes,
     map_height,
+    name_poses,
     new_figure,
     sensor_axes,
     side_by_side,
@@ -233,10 +234,8 @@ def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Seq
     place = np.arange(len(names))
     axes.bar(place - 0.2, camera_px, 0.38, color=ACCENT, label="camera")
     axes.bar(place + 0.2, projector_px, 0.38, color=SECOND, label="projector")
-    axes.set_xticks(
-        place, names, rotation=35 if len(names) > 8 else 0, ha="right" if len(names) > 8 else "center"
-    )
-    axes.set(ylabel="RMS error in px", xlim=(-0.6, len(names) - 0.4))
+    name_poses(axes, names)
+    axes.set(ylabel="RMS error in px")
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     return figure
 

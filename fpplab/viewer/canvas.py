@@ -32,13 +32,14 @@ class Canvas:
 
     def __init__(self, send: Callable[[bytes], object] | None = None, file: Path | None = None) -> None:
         os.environ.setdefault("RUST_LOG", "off")  # rerun prints what its errors say anyway
-        import rerun as rr
+        import rerun
 
-        rr.set_strict_mode(True)
-        self._live = rr.RecordingStream("fpplab") if send else None
-        self._kept = rr.RecordingStream("fpplab") if file else None
+        self._rr: Any = rerun
+        rerun.set_strict_mode(True)
+        self._live = rerun.RecordingStream("fpplab") if send else None
+        self._kept = rerun.RecordingStream("fpplab") if file else None
         self._send = send
-        self._unsent = rr.binary_stream(self._live) if self._live else None
+        self._unsent = rerun.binary_stream(self._live) if self._live else None
         if self._kept and file:
             self._kept.save(file)
         self._bytes = 0
@@ -95,70 +96,54 @@ class Canvas:
     def picture(self, entity: str, pixels: NDArray[np.uint8], *, static: bool = False) -> None:
         """Show an image, compressed as JPEG, a tenth of the size, since it is only for display."""
         # pixels (h, w)
-        import rerun as rr
-
-        packed = rr.Image(np.ascontiguousarray(pixels)).compress(jpeg_quality=90)
+        packed = self._rr.Image(np.ascontiguousarray(pixels)).compress(jpeg_quality=90)
         self._bytes += pixels.size // 8
         self.log(entity, packed, static=static, bulky=not static)
 
     def map(self, entity: str, values: Map, scale: ColourScale, *, static: bool = False) -> None:
         # values (h, w)
-        import rerun as rr
-
         sheet = scale.above_its_bar(subsample_columns(values))
         self._bytes += sheet.nbytes
-        self.log(entity, rr.Image(sheet), static=static, bulky=not static)
+        self.log(entity, self._rr.Image(sheet), static=static, bulky=not static)
 
     def figure(self, entity: str, png: bytes, *, static: bool = False) -> None:
-        import rerun as rr
-
         self._bytes += len(png)
-        packed = rr.EncodedImage(contents=png, media_type="image/png")
+        packed = self._rr.EncodedImage(contents=png, media_type="image/png")
         self.log(entity, packed, static=static, bulky=not static)
 
     def bar(self, entity: str, scale: ColourScale) -> None:
-        import rerun as rr
-
-        self.log(entity, rr.Image(scale.bar()), static=True)
+        self.log(entity, self._rr.Image(scale.bar()), static=True)
 
     def cloud(
         self, entity: str, points: NDArray[np.floating[Any]], colours: NDArray[np.uint8], static: bool = True
     ) -> None:
         # points (N, 3) mm; colours (N, 3)
-        import rerun as rr
-
         step = max(1, math.ceil(len(points) / MAX_POINTS))
-        shown = rr.Points3D(points[::step], colors=colours[::step], radii=rr.Radius.ui_points(1.2))
+        shown = self._rr.Points3D(
+            points[::step], colors=colours[::step], radii=self._rr.Radius.ui_points(1.2)
+        )
         self.log(entity, shown, static=static)
 
     def value(self, entity: str, value: float) -> None:
-        import rerun as rr
-
-        self.log(entity, rr.Scalars(value))
+        self.log(entity, self._rr.Scalars(value))
 
     def curve_style(self, entity: str, name: str, colour: tuple[int, int, int]) -> None:
-        import rerun as rr
-
-        self.log(entity, rr.SeriesLines(names=name, colors=colour, widths=2.0), static=True)
+        self.log(entity, self._rr.SeriesLines(names=name, colors=colour, widths=2.0), static=True)
 
     def text(self, entity: str, markdown: str, *, static: bool = True) -> None:
-        import rerun as rr
-
-        self.log(entity, rr.TextDocument(markdown, media_type="text/markdown"), static=static)
+        self.log(entity, self._rr.TextDocument(markdown, media_type="text/markdown"), static=static)
 
     def device(self, entity: str, device: Pinhole, T_world_device: RigidTransform, reach_mm: float) -> None:
         # Pinholes are drawn without distortion, so the edge of an image may differ from the cloud's.
-        import rerun as rr
-
         step = shown_step(device.size[0])
         matrix = device.matrix.copy()
         matrix[:2, 2] += 0.5  # rerun counts from the corner of the first pixel, not from its centre
         matrix[:2] /= step  # the images are shown with every n-th pixel
-        pose = rr.Transform3D(translation=T_world_device.translation, mat3x3=T_world_device.rotation)
-        model = rr.Pinhole(
+        pose = self._rr.Transform3D(translation=T_world_device.translation, mat3x3=T_world_device.rotation)
+        model = self._rr.Pinhole(
             image_from_camera=matrix,
             resolution=[-(-n // step) for n in device.size],
-            camera_xyz=rr.ViewCoordinates.RDF,
+            camera_xyz=self._rr.ViewCoordinates.RDF,
             image_plane_distance=reach_mm,
         )
         self.log(entity, pose, static=True)
@@ -182,9 +167,7 @@ class Canvas:
 
     def directions(self, entity: str) -> None:
         """Set the axes as in the camera's frame: x right, y down and z forward."""
-        import rerun as rr
-
-        self.log(entity, rr.ViewCoordinates.RDF, static=True)
+        self.log(entity, self._rr.ViewCoordinates.RDF, static=True)
 
 
 class CommandView:
