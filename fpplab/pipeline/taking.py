@@ -14,10 +14,11 @@ from fpplab.core.session_names import JOURNAL
 from fpplab.devices import Frame
 from fpplab.devices.rig import Mounted, Rig
 from fpplab.patterns.plan import Plan
+from fpplab.sessions.folder import need_space_for_frames
 from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
 from fpplab.sessions.origin import record_origin
-from fpplab.sessions.session import Session, need_space_for_frames
+from fpplab.sessions.session import Session
 
 
 def take_or_resume_session(

@@ -9,13 +9,13 @@ from pathlib import Path
 
 from fpplab.calibration.model import Calibration, CalibrationOrigin
 from fpplab.core.origin import Origin
-from fpplab.core.session_names import CALIBRATION
+from fpplab.core.session_names import CALIBRATION, JOURNAL
 from fpplab.core.units import readable_bytes
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.origin import SessionOrigin, other_devices, session_origin, taken_at
-from fpplab.sessions.session import JOURNAL, Session
+from fpplab.sessions.session import Session
 
 NOT_RECORDED = "not recorded"  # shown where no record states it
 

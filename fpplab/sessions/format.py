@@ -10,7 +10,6 @@ Every version is read as it is. A session that is completed, or repaired, is bro
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -65,16 +64,9 @@ def write_format(path: Path) -> None:
 
 def upgrade_format(path: Path) -> None:
     """Bring a session to the present format; nothing where it has it already."""
-    for step in UPGRADES[session_format(path) - 1 :]:
-        step(path)
-
-
-def _add_checksums(path: Path) -> None:
+    if session_format(path) == PRESENT:
+        return
     for name in (PLAN, RIG):
         if (path / name).is_file():
             write_recorded(path / name, config.read_text(path / name), keep=True)
     write_format(path)
-
-
-UPGRADES: tuple[Callable[[Path], None], ...] = (_add_checksums,)
-"""What brings a session from each version to the next, from 1 on; `session.yaml` is written last."""

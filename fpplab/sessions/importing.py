@@ -14,12 +14,14 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, Say, ignore, no_progress
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
+from fpplab.sessions.folder import need_space_for_frames
 from fpplab.sessions.grey_depth import StoredLevels, check_bits
 from fpplab.sessions.image_files import ImagePlace, grey_images
 from fpplab.sessions.image_names import first_names
 from fpplab.sessions.image_selection import ImageSelection
 from fpplab.sessions.lock import exclusive_write
-from fpplab.sessions.session import RigRecord, Session, need_space_for_frames
+from fpplab.sessions.rig_record import RigRecord
+from fpplab.sessions.session import Session
 
 DIAMONDS = {(912, 1140): "LightCrafter 4500", (608, 684): "LightCrafter"}
 """Projectors by the (width, height) of their mirrors, which lie in a diamond."""

@@ -18,20 +18,6 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.session import Session
 
-__all__ = [
-    "ORIGIN",
-    "SessionOrigin",
-    "calibration_origin",
-    "check_region",
-    "check_stage",
-    "foreign_calibration",
-    "other_devices",
-    "record_origin",
-    "session_origin",
-    "taken_at",
-    "with_confirmation",
-]
-
 
 class SessionOrigin(Origin):
     """When, where and with which devices a session was begun.

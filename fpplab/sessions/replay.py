@@ -31,8 +31,9 @@ from fpplab.devices import (
     Trigger,
 )
 from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.sessions.journal import FrameRecord
 from fpplab.sessions.origin import session_origin
-from fpplab.sessions.session import FrameRecord, Session
+from fpplab.sessions.session import Session
 
 
 class RecordedSession:

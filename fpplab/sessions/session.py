@@ -34,23 +34,22 @@ from fpplab.core.files import make_directory, refuse_existing
 from fpplab.core.journals import append_line
 from fpplab.core.notebook import axes_or_new, grey_picture, html_table
 from fpplab.core.progress import Progress, no_progress
-from fpplab.core.session_names import FRAMES, JOURNAL, PLAN, RIG
+from fpplab.core.session_names import JOURNAL, PLAN
 from fpplab.devices import Frame
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.folder import (
-    need_space_for_frames,
     remove_incomplete_files,
     remove_session,
     remove_temporary_folders,
     require_session,
-    require_session_folder,
     why_no_session,
     write_initial_files,
 )
+from fpplab.sessions.folder import require_session_folder as require_session_folder
 from fpplab.sessions.format import check_format, upgrade_format
-from fpplab.sessions.frame_files import read_frame, tiff_head, write_frame
+from fpplab.sessions.frame_files import read_frame, write_frame
 from fpplab.sessions.journal import (
     FrameRecord,
     check_frame_place,
@@ -71,20 +70,6 @@ from fpplab.sessions.rig_record import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = [
-    "FRAMES",
-    "JOURNAL",
-    "PLAN",
-    "RIG",
-    "FrameRecord",
-    "RigRecord",
-    "Session",
-    "need_space_for_frames",
-    "recorded_sessions",
-    "require_session_folder",
-    "tiff_head",
-]
 
 _log = logging.getLogger(__name__)
 

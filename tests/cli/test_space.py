@@ -11,6 +11,7 @@ import pytest
 
 from fpplab.core.disk_space import disk_bytes, need_space
 from fpplab.core.errors import DataError
+from fpplab.core.session_names import JOURNAL
 from fpplab.core.units import readable_bytes
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
@@ -18,7 +19,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_or_resume_session, take_poses
 from fpplab.sessions.image_selection import ImageSelection
 from fpplab.sessions.importing import import_images
-from fpplab.sessions.session import JOURNAL, Session
+from fpplab.sessions.session import Session
 from tests.conformance.reference import ReferenceFixture, ReferenceProjector
 from tests.support.commands import ROOT, Command
 from tests.support.recorded import image_of

@@ -16,7 +16,8 @@ import pytest
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import make_directory, refuse_existing, write_atomic, write_text
 from fpplab.core.journals import append_line, cut_torn_line, whole_lines
-from fpplab.sessions.session import FRAMES, JOURNAL, Session
+from fpplab.core.session_names import FRAMES, JOURNAL
+from fpplab.sessions.session import Session
 from tests.support.recorded import PLAN, KillAtLine, frame, image_of, in_a_child, record
 
 

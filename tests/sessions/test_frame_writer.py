@@ -23,12 +23,14 @@ from fpplab.acquisition.acquire import FrameObserver
 from fpplab.core.conventions import Image
 from fpplab.core.errors import DataError
 from fpplab.core.progress import ignore
+from fpplab.core.session_names import FRAMES, JOURNAL
 from fpplab.devices import Frame
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
+from fpplab.sessions.frame_files import tiff_head
 from fpplab.sessions.frame_writer import write_frames
 from fpplab.sessions.limits import SESSION_LIMITS
-from fpplab.sessions.session import FRAMES, JOURNAL, Session, tiff_head
+from fpplab.sessions.session import Session
 from tests.support.recorded import frame, image_of, in_a_child
 
 PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=40),))

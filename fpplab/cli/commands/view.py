@@ -42,9 +42,9 @@ def view_command(
     """
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import need_suffix, refuse_existing
-    from fpplab.core.session_names import RECORDING
+    from fpplab.core.session_names import JOURNAL, RECORDING
     from fpplab.pipeline import CALIBRATION
-    from fpplab.sessions.session import JOURNAL, Session
+    from fpplab.sessions.session import Session
     from fpplab.viewer.recorded import view_recording, view_session
 
     def announce(where: str) -> None:

@@ -25,12 +25,13 @@ from fpplab.characterisation.working_volume import WorkingVolume
 from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, ignore
+from fpplab.core.session_names import JOURNAL
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import Finding
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import check_disk_space, observe_session, require_plan_fits, take_or_resume_session
 from fpplab.sessions.origin import calibration_origin
-from fpplab.sessions.session import JOURNAL, Session
+from fpplab.sessions.session import Session
 from fpplab.setup.guide.asking import PICTURE, bring_by, held_first_pose, write_sketch
 from fpplab.setup.guide.attempts import GuidedRun, PoseAttempt, accepted_sentence, rejected_sentence
 from fpplab.setup.guide.rejection import frame_findings, inconsistent_pose, residual_finding, unseen_board
