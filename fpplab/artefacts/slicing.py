@@ -104,7 +104,6 @@ def _bead(solid: Manifold, z: float, depths: Floats) -> list[CrossSection]:
 
 
 def _stack(outlines: list[CrossSection]) -> Manifold:
-    """Unite the outlines as slabs of unit height; integer heights make neighbours touch exactly."""
     body = Manifold.batch_boolean(list(_slabs(outlines)), OpType.Add)
     shells = [shell.volume() for shell in body.decompose()]
     bodies = sum(volume > 0 for volume in shells)  # the shell of a cavity has a negative volume
@@ -125,7 +124,6 @@ def _slabs(outlines: list[CrossSection]) -> Iterator[Manifold]:
 
 
 def _mesh(body: Manifold, heights: Floats) -> trimesh.Trimesh:
-    """Convert to a mesh, moving the slab boundaries from integers to their heights (n,) in mm."""
     mesh = to_trimesh(body)
     mesh.vertices[:, 2] = heights[np.rint(mesh.vertices[:, 2]).astype(int)]
     return mesh

@@ -24,7 +24,6 @@ class Commands(TyperGroup):
     """A group of commands that says which one was meant, and reports Ctrl-C as `Cancelled`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the options of the group; those of the program may also follow its command."""
         try:
             return super().parse_args(ctx, args if ctx.parent else global_first(args))
         except Exception as error:
@@ -131,7 +130,6 @@ PANELS = (START, PREPARE, MEASURE, JUDGE, TWIN, INSTRUMENTS)
 
 
 def is_single_command(program: typer.Typer) -> bool:
-    """Whether a program is one command rather than a group of them, by typer's own rule."""
     alone = len(program.registered_commands) == 1 and not program.registered_groups
     return alone and program.registered_callback is None
 

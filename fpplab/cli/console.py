@@ -79,7 +79,6 @@ def telling_progress(description: str) -> Iterator[tuple[Progress, Say]]:
 
 
 def log_status(sentence: str) -> None:
-    """Print one line to the operator on stderr, so that stdout stays a result."""
     with suppress(OSError):  # stderr may be closed: no reason to stop the work
         stderr.print(sentence, soft_wrap=True)
 
@@ -103,7 +102,6 @@ def print_result(result: dict[str, Any], as_json: bool, show: Callable[[], None]
 def print_verdict_and_result(
     diagnosis: Diagnosis, name: str, result: dict[str, Any], as_json: bool, show: Callable[[], None]
 ) -> None:
-    """Print a verdict in the first line, and then the result; refuse a useless one."""
     log_status(diagnosis.sentence)
     for finding in diagnosis.findings:
         is_reason = finding.sentence == diagnosis.reason  # which the first line has said
@@ -164,7 +162,6 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
 
 
 def _is_answered(error: BaseException) -> bool:
-    """Tell whether a command has given its whole answer, such as its help."""
     return isinstance(error, CommandExit) or (isinstance(error, SystemExit) and not error.code)
 
 

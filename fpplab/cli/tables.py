@@ -25,7 +25,6 @@ def readable(value: Any) -> str:
 
 
 def as_table(value: Any) -> tuple[list[str], list[list[Any]]] | None:
-    """Lay out what has the form of a table: dictionaries in a list, or by name."""
     if isinstance(value, dict) and value and all(isinstance(row, dict) for row in value.values()):
         rows = [{"": name, **_flatten_row(row)} for name, row in value.items()]
     elif isinstance(value, list | tuple) and value and all(isinstance(row, dict) for row in value):

@@ -247,7 +247,6 @@ _FURTHER_COLUMNS = "%s: has %d columns; only x, y, z are read"
 
 
 def _read_dialect(lines: list[bytes], path: Path) -> Cloud:
-    """Read rows apart by blanks, commas or semicolons, below a line of names or the number of points."""
     rows = ply.numbered_rows((_COMMENT.sub(b"", line) for line in lines), 1)
     rows = _with_decimal_points(rows)
     last = rows[-1][1]
@@ -282,7 +281,6 @@ def _with_decimal_points(rows: ply.TextRows) -> ply.TextRows:
 
 
 def _named_columns(names: list[str]) -> list[int]:
-    """Find x, y, z in mm among the names of columns."""
     plain = [re.sub(r"[\W_]|mm", "", name.lower()) for name in names]
     if any(plain.count(axis) != 1 for axis in "xyz"):
         raise ValueError(f"its first line, '{' '.join(names)[:60]}', names no x, y, z in mm")
@@ -381,7 +379,6 @@ def _cloud(
     attributes: Mapping[str, NDArray[Any] | None],
     size: tuple[int, int] | None = None,
 ) -> Cloud:
-    """Make a cloud of what a file holds, without points that were not measured, from an origin nearby."""
     known: dict[str, Any] = {name: values for name, values in attributes.items() if values is not None}
     if points.shape != (len(points), 3) or any(len(values) != len(points) for values in known.values()):
         return Cloud(points, size=size, **known)  # which refuses it

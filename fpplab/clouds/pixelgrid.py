@@ -238,7 +238,6 @@ def _quadric(
 
 @njit(cache=True, error_model="numpy")
 def _fit_present(design: Floats, values: Floats) -> Floats:
-    """Fit by least squares to the values that are not NaN."""
     matrix, right = np.zeros((_TERMS, _TERMS)), np.zeros(_TERMS)
     for k in range(len(values)):
         if np.isnan(values[k]):

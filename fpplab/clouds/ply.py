@@ -91,7 +91,6 @@ def read(path: Path) -> tuple[VertexTable, list[str]]:
 def _read_binary(
     stream: BinaryIO, before: list[_Element], vertices: int, dtype: np.dtype[Any], more: bool
 ) -> VertexTable:
-    """Read the vertices behind other elements, and make sure that they are the last where no more follow."""
     for element in before:
         if element.lists and element.count:
             raise ValueError(
@@ -154,19 +153,16 @@ def _header(stream: BinaryIO) -> tuple[str, list[_Element], list[str], int]:
 
 
 def numbered_rows(stream: Iterable[bytes], first: int) -> TextRows:
-    """Split lines that are not empty into their values, with the numbers of the lines."""
     return [(number, values) for number, line in enumerate(stream, first) if (values := line.split())]
 
 
 def check_widths(rows: TextRows, columns: int) -> None:
-    """Refuse rows of another length by their line."""
     for number, values in rows:
         if len(values) != columns:
             raise ValueError(f"line {number} has {len(values)} values instead of {columns}")
 
 
 def parse_rows(rows: TextRows, columns: int) -> Floats:
-    """Parse rows of numbers; what is no number, and rows of another length, are refused by their line."""
     # returns (N, columns)
     check_widths(rows, columns)
     try:

@@ -31,7 +31,6 @@ def select_rows(arrays: Sequence[NDArray[Any]], kept: Mask) -> list[NDArray[Any]
 
 
 def places_of(kept: Mask) -> NDArray[np.int32]:
-    """Tell where each row goes when rows are selected."""
     # kept (N,); returns (N,)
     places = buffers.empty(len(kept), np.int32)
     _fill_places(_runs(kept), places)

@@ -30,7 +30,6 @@ _ROWS = 9 * (_PART + 16)
 
 @njit(inline="always")
 def is_continuous(da: float, db: float, dw: float, w: float, noise: float) -> bool:
-    """Decide whether two points lie on one surface, by the rule of this module."""
     return bool(abs(dw) <= w * (_STEEPEST * np.sqrt(da * da + db * db) + noise))
 
 

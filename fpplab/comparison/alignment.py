@@ -114,7 +114,6 @@ class AlignmentMesh:
         return np.einsum("ij,ij->i", placed - foot, normals), placed, normals
 
     def misfit(self, points: Floats, pose: RigidTransform, share: float = LIMITS.judged_share) -> float:
-        """Judge a pose by the mean distance of the points that are nearest to the mesh."""
         # A point on a face that is seen from behind counts with the size of the mesh as its distance.
         # points (N, 3) mm
         placed = pose.apply(points)

@@ -374,7 +374,6 @@ def _lengths(
 
 
 def _check_winding(mesh: trimesh.Trimesh) -> None:
-    """Raise `DataError` for a mesh whose normals point inwards, or this way and that."""
     if mesh.is_winding_consistent:
         if mesh.is_watertight and mesh.volume < 0.0:
             raise DataError("true mesh: its normals point inwards; turn them outwards and export it again")
@@ -460,7 +459,6 @@ def _to_mesh(points: Floats, mesh: trimesh.Trimesh) -> tuple[Floats, Floats]:
 
 
 def distances_from_cloud(samples: Floats, cloud: Cloud, counted: Mask) -> Floats:
-    """Compute distances of samples to the surface that the counted points span over the pixel grid."""
     # samples (M, 3) mm; counted (N,); returns (M,) mm
     vertices, faces = cloud.grid_mesh()
     faces = faces[counted[faces].all(axis=1)]

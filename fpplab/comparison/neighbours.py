@@ -76,7 +76,6 @@ def _by_tree(queries: Floats, points: Floats) -> tuple[Floats, Indices]:
 
 @njit(cache=True, error_model="numpy")
 def _sort_by_cell(places: Floats, low: Floats, per_cell: float, shape: Starts) -> tuple[Indices, Starts]:
-    """Sort places by cell (counting sort): their order, and where each cell begins in it."""
     cells = np.empty(len(places), np.int64)
     starts = np.zeros(shape[0] * shape[1] + 1, np.int64)
     for i in range(len(places)):

@@ -27,7 +27,6 @@ def distance_to_surface(queries: Floats, vertices: Floats, faces: NDArray[np.int
 
 @njit(cache=True, error_model="numpy")
 def _faces_around(faces: NDArray[np.int32], count: int) -> tuple[Ints, Ints]:
-    """Sort faces by vertex: their order, and where each vertex begins in it."""
     begins = np.zeros(count + 1, np.int64)
     for f in range(len(faces)):
         for k in range(3):

@@ -31,7 +31,6 @@ NUMBERS = "biuf"  # kinds of arrays that are read: truth values and numbers
 
 
 def check_archive(archive: zipfile.ZipFile, size: int) -> None:
-    """Refuse an archive that unpacks to far more than recorded data would, before any of it is unpacked."""
     unpacked = sum(member.file_size for member in archive.infolist())
     if unpacked > max(LIMITS.always_allowed_bytes, LIMITS.max_growth * size):
         raise ValueError(

@@ -113,7 +113,6 @@ def validate(data: Any, model: type[D], source: Path | str) -> D:
 
 
 def describe(error: ValidationError, data: Any = None, model: type[Document] | None = None) -> str:
-    """Describe the faults of a validation in one sentence; `model` tells which keys may have been meant."""
     # A misspelt key is both unknown and missing: what the operator wrote comes first.
     details: list[Any] = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     # A list whose entries are wrong seems too short as well, for it counts the right ones alone.

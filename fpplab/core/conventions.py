@@ -63,7 +63,6 @@ def axis_length(size: tuple[int, int], axis: Axis) -> int:
 
 
 def phase_of_coordinate(coordinate: Floats, stripes: float, length: int) -> Floats:
-    """Convert projector coordinates to absolute phase, `Φ = 2π stripes (u + 0.5)/W`."""
     return TWO_PI * stripes * (coordinate + 0.5) / length
 
 

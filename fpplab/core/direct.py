@@ -43,7 +43,6 @@ class DirectWriter(io.BufferedIOBase):
         return self._before + self._filled
 
     def finish(self) -> None:
-        """Write what is left, and wait until everything is on disk."""
         _set_direct(self._handle, False)  # which takes whole blocks only
         self._write_staged()
         os.fsync(self._handle)

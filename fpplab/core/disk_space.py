@@ -15,7 +15,6 @@ _log = logging.getLogger(__name__)
 
 
 def need_space(folder: Path, needed: int, what: str, freed: int = 0) -> None:
-    """Say how much space work needs before any of it is written, and refuse what does not fit."""
     # A GiB and more is logged as a warning, which is printed in any case, less as information.
     place = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     with writing(folder):

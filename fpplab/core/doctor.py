@@ -92,7 +92,6 @@ def check_libraries() -> list[DoctorFinding]:
 
 
 def check_folders(folders: Iterable[Path]) -> list[DoctorFinding]:
-    """See whether files can be written where fpplab writes, and how much space is free there."""
     findings = []
     for folder in dict.fromkeys(path.absolute() for path in (*folders, cache_directory())):
         place = next(path for path in (folder, *folder.parents) if path.exists())
@@ -125,7 +124,6 @@ def check_graphics(nodes: Path = RENDER_NODES, nvidia: Path = NVIDIA) -> DoctorF
 
 
 def check_disk(folder: Path, size: int = LIMITS.trial_bytes) -> DoctorFinding:
-    """Measure how fast a disk takes frames, by a file that is deleted again."""
     block = os.urandom(1 << 20)
     try:
         with tempfile.TemporaryFile(dir=folder) as stream:

@@ -50,6 +50,5 @@ def missing_extra(error: BaseException) -> MissingExtraError | None:
 
 
 def need_extra(module: str) -> None:
-    """Refuse at once what would fail later for want of a package."""
     if find_spec(module) is None:
         raise MissingExtraError(module)

@@ -252,7 +252,6 @@ def other_kind(path: Path, wanted: WantedKind) -> str | None:
 
 @contextmanager
 def naming_other_kinds(path: Path, wanted: WantedKind) -> Iterator[None]:
-    """Say of a file that cannot be read as what is wanted what it is, if it is of another kind."""
     try:
         yield
     except (ConfigError, DataError) as error:

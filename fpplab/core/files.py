@@ -47,7 +47,6 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
 
 
 def no_such_file(path: Path, *suffixes: str) -> str:
-    """Say that a file does not exist, and which one in its folder may have been meant."""
     own = path.suffix.lower()
     accepted = suffixes or ((".yaml", ".yml") if own in (".yaml", ".yml") else (own,))
     entries = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
@@ -192,7 +191,6 @@ def write_by_name(path: Path, write: Callable[[Path], object]) -> None:
 
 @contextmanager
 def removed_on_failure(path: Path) -> Iterator[None]:
-    """Take away a page that was written before its result, where that cannot be written."""
     try:
         yield
     except BaseException:
@@ -202,7 +200,6 @@ def removed_on_failure(path: Path) -> Iterator[None]:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn the system's refusal to write a path into `DataError`."""
     try:
         yield
     except OSError as error:

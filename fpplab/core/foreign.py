@@ -242,7 +242,6 @@ def _add_fields(name: str, value: Any, entries: Parts) -> None:
 
 
 def read_mrcal(content: bytes) -> Parts:
-    """Read a .cameramodel of mrcal, which is the text of a dictionary of Python."""
     import ast
 
     model = ast.literal_eval(content.decode("utf-8").strip())

@@ -71,7 +71,6 @@ def end_on_next_signal() -> bool:
 
 
 def is_caused_by(error: BaseException | None, kind: type[BaseException]) -> bool:
-    """Tell whether an error is what something made of another one, such as of an interruption."""
     while error is not None:
         if isinstance(error, kind):
             return True

@@ -43,7 +43,6 @@ def whole_lines(path: Path) -> list[bytes]:
 
 
 def cut_torn_line(path: Path) -> None:
-    """Remove an incomplete last line of a journal, so that the next line is not appended to it."""
     # Searches backwards from the end of the file, which is not read as a whole.
     with writing(path):
         if path.stat().st_size == 0:  # which cannot be mapped

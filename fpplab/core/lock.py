@@ -77,7 +77,6 @@ def locked_file(path: Path) -> Iterator[bool]:
 
 
 def _locked(path: Path) -> int | None:
-    """The descriptor of a file that was locked at once."""
     while True:
         handle = open_lock(path)
         try:
@@ -113,7 +112,6 @@ def _lock(handle: int, path: Path) -> bool:
 
 
 def _is_there_still(handle: int, path: Path) -> bool:
-    """Whether the file was not deleted, by the one who held it before, since it was opened."""
     try:
         return os.path.samestat(os.fstat(handle), path.stat())
     except FileNotFoundError:

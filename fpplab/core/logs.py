@@ -11,7 +11,6 @@ _state = {"traced": False}
 
 
 def trace_devices(enabled: bool) -> None:
-    """Have what is sent to devices, and what they answer, logged; or not any more."""
     _state["traced"] = enabled
 
 

@@ -46,7 +46,6 @@ def clustered_covariance(rows: Floats, scores: Floats, is_inlier: Mask, cell: ND
 
 
 def error_limit(errors: NDArray[np.floating[Any]]) -> float:
-    """Compute the limit of the symmetric colour range of signed errors."""
     sizes = np.abs(errors[np.isfinite(errors)])
     return max(float(np.percentile(sizes, 98)), 1e-6) if len(sizes) else 1.0
 

@@ -74,7 +74,6 @@ def allow_backends(names: list[str]) -> None:
 
 
 def load_backend(name: str, rig_file: Path | str, section: str) -> type[Any]:
-    """Import the class of a backend, as the rig file's section names it; `ConfigError` says why it cannot."""
     where = f"{rig_file}: '{section}.backend' is '{name}'"
     place = _resolve_class_path(name, where)
     module, _, attribute = place.partition(":")
@@ -122,7 +121,6 @@ def _why_not(module: str, attribute: str) -> str:
 
 
 def _resolve_class_path(name: str, error_prefix: str) -> str:
-    """Where a backend is, as `module:Class`."""
     if ":" in name:
         return _as_installed(RENAMED_BACKENDS.get(name, name))
     announced = _announced()

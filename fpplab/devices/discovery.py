@@ -26,7 +26,6 @@ class FoundDevice(DeviceInfo):
         return f"{self.model}{serial} ({self.link})"
 
     def is_called(self, name: str) -> bool:
-        """Tell whether a name is its serial number, model, link, or a value of its section (a port)."""
         return name in {self.serial, self.model, self.link, *map(str, self.section.values())} - {""}
 
 

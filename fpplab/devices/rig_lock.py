@@ -37,11 +37,9 @@ class RigTurn:
 
     @property
     def is_mine(self) -> bool:
-        """Whether the watcher may have the devices open."""
         return self._used is not None
 
     def is_requested(self) -> bool:
-        """Tell whether another command wants the rig, or has it."""
         handle = _open_lock_file(self._lock_stem, "wanted")
         try:
             return not _try_lock(handle)
@@ -83,7 +81,6 @@ def watching_rig(source: Path | str) -> Iterator[RigTurn]:
 
 @contextmanager
 def using_rig(source: Path | str) -> Iterator[None]:
-    """Hold a rig for a measurement; a watcher releases it first."""
     lock_stem = _lock_stem_of(source)
     if str(lock_stem) in _watched:
         yield
@@ -150,7 +147,6 @@ def _try_lock(handle: int, shared: bool = False) -> bool:
 
 
 def _open_and_try_lock(lock_stem: Path, name: str) -> int | None:
-    """The descriptor of a file whose lock was free and is held now, or None."""
     handle = _open_lock_file(lock_stem, name)
     if _try_lock(handle):
         return handle

@@ -54,7 +54,6 @@ class CandidateRunner:
 
     @cached_property
     def start(self) -> MeasuredCandidate:
-        """The start of the study, measured on first use; limits are relative to it."""
         begin = MeasuredCandidate(self.space.start, self.space.candidate(self.space.start))
         trial = self._measure_candidates([begin])[0]
         if trial.failed:
@@ -81,7 +80,6 @@ class CandidateRunner:
         return refused is None
 
     def measure(self, points: Sequence[Point]) -> list[MeasuredCandidate]:
-        """Measure points of the space; those that were measured before are not measured again."""
         if self.start and len(self._by_candidate) >= self.space.problem.budget:
             raise BudgetExhausted
         asked = [self._candidate_to_measure(point) for point in points]

@@ -114,7 +114,6 @@ class Meeting:
 
 
 def is_this_computer(host: str) -> bool:
-    """Whether an address reaches no other computer; names are not believed, except `localhost`."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -142,7 +141,6 @@ def _files(folder: Path) -> dict[str, object]:
 
 @contextmanager
 def dask_settings() -> Iterator[None]:
-    """Set what workers are started with; it must be set before their processes start."""
     import dask
 
     # To start a worker, dask writes its environment into that of this process too, and leaves it there.

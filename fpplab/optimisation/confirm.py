@@ -84,7 +84,6 @@ class Confirmation:
 
 
 def _smcd(by_artefact: RepeatedFigures) -> Floats:
-    """Surface SMCD in µm, (artefacts, repeats)."""
     return np.array([[figures.surface_smcd_um for figures in repeats] for repeats in by_artefact.values()])
 
 

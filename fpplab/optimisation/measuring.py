@@ -105,7 +105,6 @@ class RigEvaluator:
 
     @cached_property
     def _image_s(self) -> float:
-        """Time that an image takes in addition to its exposure, as the devices state it."""
         return RigLimits.of(self._rig).dead_time_s + self._problem.start.settle_s
 
     def _measure_and_score(self, name: str, candidate: Candidate, seed: int) -> Score:
@@ -141,7 +140,6 @@ class RigEvaluator:
         return self._true_shapes[key]
 
     def _mesh_in_camera_frame(self, name: str) -> trimesh.Trimesh:
-        """Place the true shape in the camera's frame, known from the fixture or a first measurement."""
         if name not in self._placed:
             mesh = artefacts.make(name)
             pose = self._rig.need_fixture("a search").pose(name) or self._locate_by_measurement(name, mesh)

@@ -63,7 +63,6 @@ class Objective:
 
 
 def registered_objectives() -> dict[str, Objective]:
-    """List the objectives that are defined, by key, in the order of their modules."""
     objectives: dict[str, Objective] = {}
     for cls in concrete_subclasses(Objective):
         if cls.key in objectives:

@@ -144,7 +144,6 @@ class DaskWorkers:
         return outcome
 
     def close(self) -> None:
-        """Close the rigs of all workers, and end the processes started here."""
         self._stack.close()
 
 

@@ -129,7 +129,6 @@ class TrueShape:
     def score(
         self, decoded: Decoded, plan: Plan, calibration: Calibration, align: bool = True
     ) -> ArtefactFigures:
-        """Triangulate a decoded measurement, filter it as its plan says, and compare it."""
         # decoded (height, width) px
         decoded, cloud = points_of(decoded, calibration, plan)
         removed = count_removed(decoded)

@@ -56,7 +56,6 @@ class _ImagePart:
 
 
 def can_screen(rig: Rig, problem: SearchProblem) -> bool:
-    """Tell whether a study's candidates can be screened: on a simulation, in one geometry."""
     moves = problem.space.stage_mm is not None or problem.space.convergence_deg is not None
     return problem.screening and isinstance(rig.simulation, Predictable) and not moves
 
@@ -161,7 +160,6 @@ def _one_thread() -> Iterator[None]:
 
 
 def _image_parts(shape: TrueShape, calibration: Calibration) -> list[_ImagePart]:
-    """Choose bands of rows, evenly spread over what is seen of a shape, as wide as it is."""
     height, width = shape.visible.shape
     seen_rows, seen_columns = (np.flatnonzero(shape.visible.any(axis=axis)) for axis in (1, 0))
     left, right = max(0, seen_columns[0] - LIMITS.border), min(width, seen_columns[-1] + 1 + LIMITS.border)

@@ -197,7 +197,6 @@ def _start_value(name: str, problem: SearchProblem, template: Candidate, source:
 
 
 def _check_bounds(space: SearchSpace, source: str) -> None:
-    """Refuse bounds that contradict the start, each other, or the rig."""
     problem, start = space.problem, space.start
     for parameter, value in zip(space.parameters, start, strict=True):
         if not parameter.contains(value):
@@ -219,7 +218,6 @@ def _check_bounds(space: SearchSpace, source: str) -> None:
 
 
 def _check_stripes(space: SearchSpace, source: str) -> None:
-    """Refuse a base set that is searched, and bounds within which stripes cannot increase from set to set."""
     bounds = space.problem.space.stripes
     guided = unwrapping_methods()[space.problem.start.unwrapping].guided
     max_so_far: dict[str, float] = {}

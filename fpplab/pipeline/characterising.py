@@ -145,7 +145,6 @@ def _observe_sessions(
     progress: Progress,
     limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> tuple[list[Observation], dict[str, str]]:
-    """Observe the board in each pose, and say by name why the others are left out."""
     periods = finest_periods(sessions[0].plan, sessions[0].projector()[0])
     observations: list[Observation] = []
     left_out: dict[str, str] = {}

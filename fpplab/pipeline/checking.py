@@ -15,7 +15,6 @@ from fpplab.sessions.session import Session
 
 
 def fault_in_step(recording: Recording) -> str | None:
-    """Say how the frames of a session are out of step with their plan, and what to check."""
     verdict = check_synchronisation(recording)
     if verdict.in_step:
         return None

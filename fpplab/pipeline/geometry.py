@@ -59,7 +59,6 @@ def geometry_check(
 
 
 def why_unverified(session: Session, calibration: Calibration) -> GeometryDoubt | None:
-    """Say why the rig's geometry is not verified at a scan; None where it is, within the rig's limits."""
     if calibration.doubt is not None:
         detail = f"the calibration: {calibration.doubt}"
         return GeometryDoubt("the calibration was doubtful when it was made", "characterise again", detail)
@@ -91,7 +90,6 @@ def why_unverified(session: Session, calibration: Calibration) -> GeometryDoubt 
 
 
 def _settings_doubt(now: GeometrySection, then: CalibrationOrigin | None) -> GeometryDoubt | None:
-    """Compare what the rig file states of settings and temperature with the time of the characterisation."""
     if then is None:
         return None
     stated, before = now.settings or {}, then.settings or {}

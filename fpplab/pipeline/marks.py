@@ -161,7 +161,6 @@ class _Cost:
 def _costs(
     cloud: Cloud, calibration: Calibration, noise: CoordinateNoise, compared: MarksComparison
 ) -> list[_Cost]:
-    """Compute the cost of a change for the points' places, and for their form."""
     points = sampled_points(cloud)
     modes = np.column_stack([compared.change, covariance_root(compared.covariance)])
     moved = (calibration_jacobian(points, calibration, noise) @ modes).reshape(-1, modes.shape[1])

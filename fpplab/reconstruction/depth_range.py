@@ -20,7 +20,6 @@ KnownPixels = tuple[tuple[int, int, float], ...]
 
 
 def decoding_bounds(plan: Plan, calibration: Calibration, depth: DepthRange | None) -> DecodingBounds:
-    """Give what the geometry tells decoding: the range of depths, if any, and what guides the guided axis."""
     bounds: dict[Axis, PossibleCoordinates | PredictedCoordinate] = {}
     if depth is not None:
         bounds |= depth_bounds(plan, calibration, depth)

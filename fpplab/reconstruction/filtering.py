@@ -99,7 +99,6 @@ def count_removed(decoded: Decoded) -> dict[str, int | float] | None:
 
 
 def _surface_links(grid: PixelGrid) -> tuple[Mask, Mask]:
-    """Return whether each pixel sees one surface with the next in its row, and in its column."""
     across, down = (buffers.empty(grid.index.shape, np.bool_) for _ in range(2))
     across[:, -1] = down[-1] = False
     _link(grid.a, grid.b, grid.w, grid.noise, across, down)
@@ -108,7 +107,6 @@ def _surface_links(grid: PixelGrid) -> tuple[Mask, Mask]:
 
 @njit(inline="always")
 def _joined(a: Map, b: Map, w: Map, noise: Map, v: int, u: int, y: int, x: int) -> bool:
-    """Return whether two pixels see one surface; false where one of them has no point."""
     return is_continuous(
         a[y, x] - a[v, u],
         b[y, x] - b[v, u],
@@ -170,7 +168,6 @@ def _half_lit(
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _mark_flying_pixels(a: Map, b: Map, w: Map, noise: Map, removed: Removed) -> None:
-    """Mark pixels that see another surface than most of the pixels around them that have a point."""
     height, width = w.shape
     for v in prange(height):
         for u in range(width):
@@ -195,7 +192,6 @@ def _mark_flying_pixels(a: Map, b: Map, w: Map, noise: Map, removed: Removed) ->
 
 @njit(parallel=True, cache=True)
 def _contradictory(disagreement: Map, greatest: np.float32, w: Map, removed: Removed) -> None:
-    """Remove the pixels whose fringe sets disagree by more than the greatest disagreement."""
     for v in prange(len(w)):
         for u in range(w.shape[1]):
             if disagreement[v, u] > greatest:
@@ -220,7 +216,6 @@ def _keep(index: PixelColumnsRows, w: Map, kept: Mask) -> None:
 
 @njit(parallel=True, cache=True)
 def _number(index: PixelColumnsRows, w: Map, places: NDArray[np.int32]) -> None:
-    """Number the points that are still in the grid again."""
     for v in prange(len(w)):
         for u in range(w.shape[1]):
             if index[v, u] >= 0:

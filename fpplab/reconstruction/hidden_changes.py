@@ -36,7 +36,6 @@ def sampled_points(cloud: Cloud) -> Floats:
 def hidden_changes(
     cloud: Cloud, calibration: Calibration, noise: CoordinateNoise, epipolar_limit_px: float
 ) -> tuple[HiddenChange, ...]:
-    """Compute what changes of each kind may have displaced the points by, the greatest first."""
     # `epipolar_limit_px` is the systematic distance from the epipolar lines at which a change is noticed.
     points = sampled_points(cloud)
     changed = changed_rigs(calibration)

@@ -32,7 +32,6 @@ def mark_small_regions(
 
 @njit(parallel=True, cache=True)
 def _find_runs(w: Map, across: Mask, counting: bool, starts: _RowStarts, runs: _Numbers) -> None:
-    """Count the runs of each row into `starts`, or fill `runs`, first and last column, from there."""
     for v in prange(len(w)):
         at = -1 if counting else starts[v] - 1
         was_there = False

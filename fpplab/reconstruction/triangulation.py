@@ -114,14 +114,12 @@ def coded_maps(decoded: DecodedMaps, texture: NDArray[np.uint8] | None = None) -
 
 
 def coordinate_noise(decoded: DecodedMaps) -> CoordinateNoise:
-    """Find the relative noise of the projector coordinates, by which triangulation weights them."""
     if not any_known(decoded.u):
         return np.inf, 1.0
     return 1.0, decoded.v_per_u if any_known(decoded.v) else np.inf
 
 
 def solve_pixels(coded: CodedMaps, calibration: Calibration) -> Solutions:
-    """Solve all pixels with coordinates, and keep those with a solution."""
     use_u, use_v = len(coded.u) > 0, len(coded.v) > 0
     use_phase_error, use_texture = len(coded.phase_error) > 0, len(coded.texture) > 0
     counts = _coded_pixels_by_row(coded.u if use_u else coded.v, coded.v if use_v else coded.u)
@@ -208,7 +206,6 @@ _distort = njit(inline="always")(distort)
 
 @njit(cache=True, error_model="numpy")
 def _undistort_pixel(u: float, v: float, device: Numbers, reach: float) -> tuple[float, float]:
-    """Undistort one pixel as `Pinhole.normalise` does."""
     fx, fy, lens = device[0], device[1], device[4:]
     target_x, target_y = (u - device[2]) / fx, (v - device[3]) / fy
     x, y, last = target_x, target_y, 0.0
@@ -277,7 +274,6 @@ def _coded_pixels_by_row(u: Map, v: Map) -> NDArray[np.int64]:
 
 @njit(inline="always")
 def _weights(use_u: bool, use_v: bool, v_per_u: float) -> tuple[float, float]:
-    """Weights of both coordinates' residuals, relative to that of the first known one."""
     return (1.0 if use_u else 0.0), ((1.0 / v_per_u if use_u else 1.0) if use_v else 0.0)
 
 
@@ -329,7 +325,6 @@ def _epipolar_distance_px(off_u: float, off_v: float, along_u: float, along_v: f
 def _fill_solutions(
     slopes: Floats, coded: CodedMaps, projector: ProjectorModel, starts: NDArray[np.int64], out: Solutions
 ) -> None:
-    """Fill the solutions row by row; a pixel with coordinates but without a solution has NaN as point."""
     (height, width), reach = coded.sigma.shape, projector.reach
     use_u, use_v, v_per_u = len(coded.u) > 0, len(coded.v) > 0, coded.v_per_u
     # In a parallel loop tuples cannot hold tuples, and what they hold cannot be written.
@@ -388,7 +383,6 @@ def _fill_solutions(
 def _fill_predictions(
     slopes: Floats, known: Map, gives_v: bool, projector: ProjectorModel, other: Map
 ) -> None:
-    """Project the point that one coordinate gives on each pixel's ray, and keep the other coordinate."""
     device, pose, reach = projector.intrinsics, projector.pose, projector.reach
     weights = (1.0, 0.0) if gives_v else (0.0, 1.0)
     for row in prange(len(known)):

@@ -49,7 +49,6 @@ def with_uncertainty(
 def _by_grid(
     points: AnyPoints, exactly: Callable[[AnyPoints, Progress], Floats], progress: Progress
 ) -> AnyPoints:
-    """Evaluate at nodes and interpolate, and exactly where points are few or far from the others."""
     variances = buffers.empty((2, len(points)))
     grid = RayGrid.around(points)
     if grid is None:
@@ -64,7 +63,6 @@ def _by_grid(
 
 
 def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNoise) -> Floats:
-    """Compute the covariance of each point's coordinates from noise, phase error and calibration."""
     # How points vary together follows from `calibration_jacobian`.
     # returns (N, 3, 3) mm²
     modes, covariance = ErrorModes.of(calibration, noise), np.empty((len(cloud), 3, 3))

@@ -150,7 +150,6 @@ def _describe_scan(scan: ScanSection) -> str:
 
 
 def _pictures_of_scan(scan: ScanSection) -> Iterator[ReportFigure]:
-    """What speaks against the scan, then results, then what they come from."""
     name, cloud, decoded = scan.name, scan.cloud, scan.decoded
     yield from scan.evidence
     if cloud is not None and scan.comparison is not None:

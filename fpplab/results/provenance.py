@@ -149,7 +149,6 @@ def described_rig(rig: Rig) -> tuple[dict[str, object], SessionOrigin]:
 
 
 def cloud_provenance(cloud: Path, calibration: Calibration | None = None) -> Provenance:
-    """Describe where a cloud comes from: by its session if it lies in one, else by the file alone."""
     size, changed = cloud.stat().st_size, datetime.fromtimestamp(cloud.stat().st_mtime).astimezone()
     own: dict[str, str | None] = {"cloud": f"{cloud}, {readable_bytes(size)}, written {local_time(changed)}"}
     if (cloud.parent / JOURNAL).is_file():
@@ -232,7 +231,6 @@ def _age(length: timedelta) -> str:
 
 
 def _compare_devices(calibration: CalibrationOrigin, measured: SessionOrigin | None) -> str | None:
-    """The calibration's devices, and whether they are those of the measurement."""
     devices = [device for device in (calibration.camera, calibration.projector) if device]
     if not devices:
         return None

@@ -32,7 +32,6 @@ def write_initial_files(path: Path, plan: Plan, rig: RigRecord) -> None:
 
 
 def remove_incomplete_files(path: Path) -> None:
-    """Remove what a crash left: parts of files, and an incomplete last line of the journal."""
     for draft in (path / FRAMES).glob(".*"):
         draft.unlink()
     for name in SESSION_FILES:
@@ -92,7 +91,6 @@ def why_no_session(path: Path) -> str:
 
 
 def require_session_folder(path: Path) -> None:
-    """Refuse, before anything is done, an output for a session that is something else."""
     if path.exists() and not (path / JOURNAL).is_file():
         raise ConfigError(f"{path}: exists and is not a session; name another output")
 
@@ -106,7 +104,6 @@ def need_space_for_frames(
     *,
     replaced_last: bool = False,
 ) -> None:
-    """Refuse sessions whose frames do not fit on the disk, before anything is projected or written."""
     # Frames that interrupted sessions have already need no more space, and a session that is replaced frees
     # its own.
     # size (width, height) px

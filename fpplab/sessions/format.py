@@ -63,7 +63,6 @@ def write_format(path: Path) -> None:
 
 
 def upgrade_format(path: Path) -> None:
-    """Bring a session to the present format; nothing where it has it already."""
     if session_format(path) == PRESENT:
         return
     for name in (PLAN, RIG):

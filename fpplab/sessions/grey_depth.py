@@ -39,7 +39,6 @@ class StoredLevels:
 
     @property
     def levels(self) -> NDArray[np.int64]:
-        """Those that occur, (K,), in ascending order."""
         return np.flatnonzero(self.occurring).astype(np.int64)
 
     def depth(self, bits: int | None, warn: Say, tell: Say) -> tuple[int, int]:

@@ -178,7 +178,6 @@ def _only_member(path: Path, archive: zipfile.ZipFile) -> zipfile.ZipInfo:
 
 
 def _array_head(path: Path, stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape (…, height, width) and type of an array that is one of grey images, from its first bytes."""
     try:
         shape, fortran, dtype = array_head(stream)
     except ValueError as error:

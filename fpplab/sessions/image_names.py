@@ -93,14 +93,12 @@ class NumberedNames:
         return _ALLOWED[len(self.first) - 1]
 
     def _counted(self, numbers: Iterable[int]) -> int:
-        """How many numbers there are from the first to the last."""
         return max(max(numbers, default=self.first[-1] - 1) - self.first[-1] + 1, 0)
 
     def _begin(self, numbers: NameNumbers) -> str:
         return " and ".join(f"{field} {n}" for field, n in zip(self._fields, numbers, strict=True))
 
     def _hint_at_other_numbers(self, expected: Sequence[NameNumbers], existing: Sequence[NameNumbers]) -> str:
-        """What to say where all are there, but counted from other numbers."""
         if not existing:
             return f"; {names_in(self.folder)}"
         low = tuple(map(min, zip(*existing, strict=True)))

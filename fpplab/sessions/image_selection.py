@@ -82,7 +82,6 @@ class ImageSelection:
         return [inside[0] for inside in places]
 
     def _only_folder(self) -> Path:
-        """The only place, which has to be a folder."""
         if len(self.places) != 1:
             raise ConfigError(f"--frames is '{self.names}': name the one folder that it is for")
         if not self.places[0].is_dir():
@@ -147,7 +146,6 @@ class ImageSelection:
 
 
 def numbers_of(text: str | None) -> tuple[int, ...]:
-    """Read numbers as they are written for `--skip`."""
     numbers: set[int] = set()
     for part in text.split(",") if text else []:
         match = re.fullmatch(r"\s*(\d{1,6})(?:-(\d{1,6}))?\s*", part, re.ASCII)
@@ -173,13 +171,11 @@ def _any_case(pattern: str) -> str:
 
 
 def _listed_name(line: str) -> str:
-    """A name in a list: perhaps in quotes, its folders separated as on Windows."""
     quoted = re.fullmatch(r"""(["'])(.*)\1""", line)
     return (quoted[2] if quoted else line).replace("\\", "/")
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:
-    """What files are sorted by so that 10 comes after 9."""
     parts = re.split(r"(\d+)", path.as_posix())
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts if part]
 
@@ -199,7 +195,6 @@ def _check_files(files: Sequence[Path]) -> None:
 
 
 def _check_count(title: str, images: Sequence[ImagePlace], sets: Sequence[int] | None) -> None:
-    """Refuse more or fewer images than the plan has, naming where they begin to be wrong."""
     if sets is None or len(images) == sum(sets):
         return
     planned = sum(sets)

@@ -69,7 +69,6 @@ def describe_session(session: Session) -> dict[str, Any]:
 
 
 def session_faults(path: Path, progress: Progress = no_progress) -> list[SessionFault]:
-    """Read everything in a session, and name all that is wrong with it."""
     if not (path / JOURNAL).is_file() and not (path / PLAN).is_file():
         raise ConfigError(why_no_session(path))
     faults: list[SessionFault] = []

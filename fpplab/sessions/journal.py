@@ -96,7 +96,6 @@ def check_frame_place(
 
 
 def read_journal(path: Path, plan: Plan) -> dict[int, FrameRecord]:
-    """Read the journal of a session; an incomplete last line is a frame that was not recorded."""
     ids = pattern_ids(plan)
     records: dict[int, FrameRecord] = {}
     for number, line in enumerate(whole_lines(path / JOURNAL), 1):
@@ -114,7 +113,6 @@ class JournalLines:
 
 
 def readable_lines(path: Path, plan: Plan | None) -> JournalLines:
-    """Read the lines of a journal that are whole, and name the others."""
     ids = None if plan is None else pattern_ids(plan)
     records: dict[int, FrameRecord] = {}
     faults = []
@@ -128,7 +126,6 @@ def readable_lines(path: Path, plan: Plan | None) -> JournalLines:
 
 
 def _record_of(line: bytes, error_prefix: str, ids: list[str] | None, taken: Container[int]) -> FrameRecord:
-    """The record that a line holds; raises `DataError`."""
     try:
         record = FrameRecord.model_validate_json(line)
     except ValidationError as error:

@@ -39,7 +39,6 @@ class SessionLog(logging.Handler):
                 logger.setLevel(logging.INFO)
 
     def append(self, **fields: Any) -> None:
-        """Append a line, or nothing where it cannot be written."""
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         with suppress(OSError):  # a full disk, or a session that was removed, stops no measurement here
             handle = os.open(self._file, os.O_WRONLY | os.O_APPEND)

@@ -106,7 +106,6 @@ def check_stage(calibration: Calibration, plan: Plan, source: Path | str) -> Non
 
 
 def foreign_calibration(calibration: Calibration, session: Session) -> str | None:
-    """Describe how the devices of a session differ from those that a calibration was made with."""
     made, measured = calibration.origin, session_origin(session.path)
     if made is None or measured is None:
         return None
@@ -151,7 +150,6 @@ def _settings_by_hand(poses: Sequence[Session]) -> dict[str, Any]:
 
 
 def with_confirmation(calibration: Calibration, poses: Sequence[Session]) -> Calibration:
-    """Record in a calibration when poses of the board confirmed it."""
     if calibration.origin is None:
         raise CalibrationError("the calibration does not record when it was made, and cannot be confirmed")
     ends = {pose.path: taken_at(pose) for pose in poses}

@@ -67,7 +67,6 @@ class PictureFile:
         return grey_from_channels(np.asarray(self._picture) if bits == 8 else self._deep_channels(page))
 
     def _stored_bits(self) -> int:
-        """Bits of a stored level, which Pillow may widen or narrow."""
         return int(max(self._tags.get(BITS_PER_SAMPLE, (1,)))) if self._is_tiff else self._unpacked_bits
 
     @property
@@ -127,7 +126,6 @@ def _unpacked_bits(picture: Pillow.Image) -> int:
 
 
 def _describe_tiff(stream: IO[bytes]) -> str:
-    """What a TIFF file holds that Pillow does not know."""
     stream.seek(0)
     with tifffile.TiffFile(stream) as file:
         page = file.pages.first

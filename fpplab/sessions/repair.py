@@ -74,7 +74,6 @@ def _restore_small_files(path: Path, report: RepairReport) -> None:
 
 
 def _readable_records(path: Path, report: RepairReport) -> Iterable[RecordedFile]:
-    """Lines of the record that can be read; where some cannot, it is rewritten."""
     try:
         return recorded_files(path)
     except DataError as error:
@@ -117,7 +116,6 @@ def _plan_of(path: Path) -> Plan:
 
 
 def _restore_journal(path: Path, plan: Plan, report: RepairReport, progress: Progress) -> None:
-    """Rewrite the journal with the lines whose frames are whole, if others are not."""
     if not (path / JOURNAL).is_file():
         raise DataError(f"{path}: cannot be repaired: its journal is missing, which says what its frames are")
     lines = readable_lines(path, plan)
@@ -136,7 +134,6 @@ def _restore_journal(path: Path, plan: Plan, report: RepairReport, progress: Pro
 
 
 def _replace_session_file(path: Path, name: str, text: str, report: RepairReport) -> None:
-    """Rewrite a file of the session, and keep the old one next to the session."""
     if not (path / name).exists():
         write_text(path / name, text)
         return
@@ -162,7 +159,6 @@ def _set_aside(path: Path, name: str, report: RepairReport) -> None:
 
 
 def _place_aside(path: Path, name: str) -> Path:
-    """Where a damaged file is kept: a name that nothing has there."""
     place = path.with_name(f"{path.name}.damaged") / name
     number = 1
     while place.exists():

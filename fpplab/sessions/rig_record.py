@@ -53,7 +53,6 @@ def recorded_response(rig: RigRecord, path: Path) -> Curve | None:
 
 
 def recorded_depth(rig: RigRecord, plan: Plan, path: Path) -> DepthRange | None:
-    """Give the range of depths that the plan of a session states, or else its rig."""
     stated = {key: value for key, value in (rig or {}).items() if key == "depth_mm"}
     return first_stated(
         (plan.depth_mm, f"{path / PLAN}: 'depth_mm'"),

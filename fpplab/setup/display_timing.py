@@ -127,7 +127,6 @@ class _Levels:
         return long_s
 
     def refresh_s(self, projector: FlashingProjector, settle_s: float) -> float:
-        """Measure the refresh period: the light of a flash as a share of that of the whole exposure."""
         periods = []
         with ThreadPoolExecutor(max_workers=1) as camera:
             for _ in range(LIMITS.trials):
@@ -139,7 +138,6 @@ class _Levels:
         return float(np.median(periods))
 
     def _suffices(self, wait_s: float) -> bool:
-        """Whether frames after this wait show the new pattern alone, from dark to bright and back."""
         for _ in range(LIMITS.trials):
             for before, after in ((BLACK, GREY), (GREY, BLACK)):
                 self._show(before, max(LIMITS.rest_s, 2 * wait_s))

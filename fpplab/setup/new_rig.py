@@ -244,7 +244,6 @@ def look_at_light(camera: Camera, projector: Projector) -> ProjectorTest:
 
 
 def _well_exposed(camera: Camera) -> tuple[CameraSettings, Image]:
-    """A picture that is neither dark nor saturated, as far as the camera's exposures go."""
     shortest_s, longest_s = camera.caps.exposure_s
     bits = min(camera.caps.bits)
     exposure_s, tried = min(max(LIMITS.first_exposure_s, shortest_s), longest_s), set[float]()

@@ -78,7 +78,6 @@ def _is_of_points(layout: BoardLayout, patch: GridPatch, level: Floats) -> bool:
 
 
 def _placements(layout: BoardLayout, patch: GridPatch) -> list[Detection]:
-    """Every placement of the patch on the board that a camera could see."""
     lattice = layout.lattice()
     id_of_place = {tuple(place): id_ for id_, place in enumerate(lattice.places.tolist())}
     placements = []

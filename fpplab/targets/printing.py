@@ -100,7 +100,6 @@ def _box(left: float, top: float, right: float, bottom: float) -> Outline:
 
 
 def _paper_size_turned_to_fit(target: Target, paper: str) -> tuple[float, float]:
-    """Choose the paper, turned if it must be, on which the board has room with its legend."""
     width, height = paper_size(paper)
     needed = _paper_size_needed(target)
     ways = [(width, height)]
@@ -145,7 +144,6 @@ class _Page:
         self.figure.add_artist(patch)
 
     def board(self, target: Target) -> None:
-        """Draw the board at the page's centre, its y down."""
         middle = Affine2D().scale(1, -1).translate(self.size[0] / 2, self.size[1] / 2)
         width, height = target.size_mm
         sheet = _box(-width / 2, -height / 2, width / 2, height / 2)
@@ -159,7 +157,6 @@ class _Page:
                 self.cutting_mark(corner, np.sign([x, -y]))
 
     def cutting_mark(self, corner: Floats, outwards: Floats) -> None:
-        """Draw two hairlines that point at a corner of the board, from outside."""
         for axis in np.eye(2):
             step = axis * outwards
             self.line(corner + LAYOUT.mark_mm * step, corner + 2 * LAYOUT.mark_mm * step, 0.15)

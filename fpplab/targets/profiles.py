@@ -45,7 +45,6 @@ class PointModel:
 
 
 def crossing_edges(half_mm: float) -> PointModel:
-    """Model the corner of four squares as the product of two blurred edges."""
     return PointModel(Surroundings.EDGES, _edges_start, half_mm)
 
 

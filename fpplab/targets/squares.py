@@ -15,7 +15,6 @@ class SquareLayout(BoardLayout):
     """A board of alternating squares, whose points are the inner corners."""
 
     def check_pitch(self) -> None:
-        """Check that squares are square, for the kinds' `check`."""
         if self.spacing_mm[0] != self.spacing_mm[1]:
             raise ValueError("'spacing_mm' must be the same along x and y for squares")
 

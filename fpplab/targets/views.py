@@ -78,7 +78,6 @@ def window_around_point(
 def window_pixels(
     image: NDArray[Any], pixel: Floats, inverse: Floats, half_mm: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """List the pixels of a square of the board around a point. Compiled."""
     # image (height, width); pixel (2,) px; inverse (2, 2) mm; returns rows (n,), columns (n,)
     per_mm = half_mm / abs(inverse[0, 0] * inverse[1, 1] - inverse[0, 1] * inverse[1, 0])
     across = per_mm * (abs(inverse[1, 1]) + abs(inverse[0, 1]))

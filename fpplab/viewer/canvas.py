@@ -62,7 +62,6 @@ class Canvas:
         return tuple(stream for stream in (self._live, self._kept) if stream is not None)
 
     def pass_on(self) -> None:
-        """Send the server what was drawn since the last time."""
         if self._live and self._send and self._unsent:
             self._send(self._unsent.read(flush=True) or b"")
 
@@ -94,7 +93,6 @@ class Canvas:
             self._kept.log(entity, archetype, static=static)
 
     def picture(self, entity: str, pixels: NDArray[np.uint8], *, static: bool = False) -> None:
-        """Show an image, compressed as JPEG, a tenth of the size, since it is only for display."""
         # pixels (h, w)
         packed = self._rr.Image(np.ascontiguousarray(pixels)).compress(jpeg_quality=90)
         self._bytes += pixels.size // 8
@@ -166,7 +164,6 @@ class Canvas:
         self.cloud(REACH[scene], corners, np.full((2, 3), BACKGROUND, np.uint8))
 
     def directions(self, entity: str) -> None:
-        """Set the axes as in the camera's frame: x right, y down and z forward."""
         self.log(entity, self._rr.ViewCoordinates.RDF, static=True)
 
 

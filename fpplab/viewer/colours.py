@@ -32,7 +32,6 @@ class ColourScale:
     def spanning(
         cls, quantity: str, unit: str, colours: str, values: NDArray[np.floating[Any]]
     ) -> ColourScale:
-        """Make a scale over nearly all of some values."""
         finite = values[np.isfinite(values)]
         low, high = np.percentile(finite, (0.5, 99.5)) if len(finite) else (0.0, 1.0)
         return cls(quantity, unit, colours, float(low), float(high))

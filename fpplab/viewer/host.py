@@ -118,7 +118,6 @@ def _fetch_rerun_files(program: str, home: Path) -> None:
 
 
 def _open_window(program: str, file: str, home: Path) -> subprocess.Popen[bytes]:
-    """Open rerun's window on a file, or on what it gets on its standard input."""
     # It would serve what it shows, unless it is told that another program does: a port here that never
     # answers.
     with socket.create_server((LOCAL, 0)) as other:
@@ -181,7 +180,6 @@ def _dying_with_parent() -> Callable[[], None] | None:
 
 
 def _feed_window(rerun: subprocess.Popen[bytes]) -> None:
-    """Pass the recording on to the window, and end it with the recording."""
     assert rerun.stdin is not None
     with suppress(OSError):
         _receive(rerun.stdin.write, rerun.stdin.flush)

@@ -15,7 +15,6 @@ def image(name: str, origin: str) -> Any:
 
 
 def scene(name: str, contents: Sequence[str], origin: str = "/world") -> Any:
-    """View entities in space; it opens on all that it contains."""
     import rerun.blueprint as rrb
 
     return rrb.Spatial3DView(

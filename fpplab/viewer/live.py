@@ -197,7 +197,6 @@ class LiveFrames:
         self._focus: dict[str, FocusMeasure] = {}
 
     def show(self, status: LiveStatus, frame: Frame, pattern: Pattern, dark: Mask | None) -> None:
-        """Show a frame with the state after it; one that comes too soon is left out."""
         # dark (height, width)
         now = time.monotonic()
         if now - self._last_s < 1.0 / self._max_rate_hz:
@@ -217,7 +216,6 @@ class LiveFrames:
         self._viewer.show_one_of_many(LiveView.snapshot, snapshot)
 
     def _focus_measured(self, status: LiveStatus) -> dict[str, FocusShares]:
-        """The focus that was measured since the last frame that was shown."""
         trackers: dict[str, FocusTracker] = {
             "camera": status.camera_focus,
             "projector": status.projector_focus,

@@ -120,7 +120,6 @@ class MeasurementView(CommandView):
         return [layouts.image(name, origin) for name, origin in listed]
 
     def plan(self, plan: Plan, size: tuple[int, int], lattice: Lattice) -> None:
-        """Announce what the projector will show, so that frames are shown with their pattern and phase."""
         self._shown.plan = (plan, size, lattice)
         self.canvas.layout(self.arrangement())
 
@@ -134,7 +133,6 @@ class MeasurementView(CommandView):
             self._collect(frame, plan, index, step)
 
     def _collect(self, frame: ShownFrame, plan: Plan, index: int, step: int) -> None:
-        """Show the wrapped phase of a fringe set once its last frame is in."""
         fringe, frames = plan.sets[index], self._shown.frames
         if step == 0:
             frames.clear()
@@ -195,7 +193,6 @@ class MeasurementView(CommandView):
         self.canvas.open_on("rig", CLOUD, cloud.points)
 
     def _risk(self, decoded: Decoded, cloud: Cloud, depth: DepthRange | None) -> Map | None:
-        """Order risk of every point, where plan and pixels are known."""
         if self._shown.plan is None or cloud.pixels is None:
             return None
         plan, size, _ = self._shown.plan
@@ -220,7 +217,6 @@ def depth_scale(cloud: Cloud) -> ColourScale:
 def colourings(
     cloud: Cloud, risk: NDArray[np.floating[Any]] | None, errors_um: NDArray[np.floating[Any]] | None
 ) -> list[Colouring]:
-    """List the colourings of a cloud that are known, the most telling first."""
     # risk (N,); errors_um (N,) µm
     listed = []
     if errors_um is not None:

@@ -44,7 +44,6 @@ class Outbox:
         self._ended = False
 
     def add(self, message: Message) -> None:
-        """Add a message; ignored after the end."""
         with self._changed:
             if self._waits:
                 self._changed.wait_for(lambda: self._ended or len(self._queue) < self._max_queued)

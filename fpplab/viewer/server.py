@@ -52,7 +52,6 @@ class ViewerServer:
         return self._process.poll() is None
 
     def wait(self) -> None:
-        """Wait until the window, or the last page that was open, has been closed."""
         while report := self._next_report():
             if "closed" in report:
                 return
@@ -72,7 +71,6 @@ class ViewerServer:
         self._process.stdout.close()
 
     def _next_report(self) -> dict[str, Any]:
-        """The next report of the process; empty where it has ended."""
         assert self._process.stdout is not None
         with suppress(OSError, ValueError):  # `stop` has closed it in another thread
             line = self._process.stdout.readline()

@@ -90,7 +90,6 @@ class Viewer(Generic[V]):
         return self._opening is not None and self.fault is None and not self._closing
 
     def _start(self) -> bool:
-        """Start the drawing process if it is needed and not started yet; return whether it is needed."""
         if not self.runs:
             return False
         if self._thread is None:

@@ -31,7 +31,6 @@ class BallBar(Artefact):
     post: float = 8.0  # diameter of the posts in mm
 
     def check_lengths(self) -> None:
-        """Check that the spheres do not touch, and that the posts are thinner than what they join."""
         if len(self.bar) != 3:
             raise ConfigError(f"BallBar.bar: {list(self.bar)} must be length, width and thickness in mm")
         self.check_below("diameter", self.diameter, self.spacing, "the spacing")

@@ -31,7 +31,6 @@ class Pillars(Artefact):
     climb: float = 1.0  # height added from one column to the next, in mm
 
     def check_lengths(self) -> None:
-        """Check that every pillar fits into its cell and rises above the plate."""
         cell = min(self.plate[0] / len(self.diameters), self.plate[1] / len(self.heights))
         self.check_below("diameters", max(self.diameters), cell, "one cell of the plate")
         self.check_below("thickness", self.thickness, min(self.heights), "the lowest pillar")
@@ -56,7 +55,6 @@ class Pillars(Artefact):
 
     @property
     def _borders(self) -> tuple[Floats, Floats]:
-        """Where the cells begin and end along x and along y, in mm."""
         columns, rows = len(self.diameters), len(self.heights)
         return (
             np.linspace(-0.5, 0.5, columns + 1) * self.plate[0],
@@ -93,7 +91,6 @@ def _circle(centre: Floats, radius: float) -> Floats:
 
 
 def _pillar(cell: Floats, centre: Floats, radius: float, height: float) -> list[Floats]:
-    """Triangulate a cell's upper face around a pillar's foot, the pillar's wall and its top."""
     foot = raised(_circle(centre, radius), cell[0, 2])
     quarter, parts = PILLAR_CORNERS // 4, []
     for k in range(4):

@@ -30,7 +30,6 @@ class Pyramid(Artefact):
     height: float = 25.0  # of the top above the base, in mm
 
     def check_lengths(self) -> None:
-        """Check that top, foot and plate increase in size, and that the plate is lower than the top."""
         for axis in range(2):
             self.check_below("top", self.top[axis], self.foot[axis], "the foot")
             self.check_below("foot", self.foot[axis], self.plate[axis], "the plate")

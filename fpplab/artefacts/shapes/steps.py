@@ -58,7 +58,6 @@ class Staircase(Artefact):
 
     @property
     def _edges(self) -> Floats:
-        """Where treads begin and end along x, in mm."""
         return np.linspace(-0.5, 0.5, len(self.heights) + 1) * self.footprint[0]
 
     def mesh(self) -> trimesh.Trimesh:

@@ -40,7 +40,6 @@ class MeasuredFeature:
     def fitted(
         cls, cloud: Cloud, index: NDArray[np.intp], fit: Callable[[Floats], F]
     ) -> tuple[F, MeasuredFeature]:
-        """Fit a shape to the evaluated points of a cloud, without the farthest of them and to all."""
         # index (K,); fit (M, 3)
         points = np.asarray(cloud.points[index], np.float64)
         feature, kept = fit_without_worst(points, fit)
@@ -209,7 +208,6 @@ class Acceptance:
 
     @property
     def passed(self) -> bool | None:
-        """Whether every quantity that was judged is permitted; None where none was."""
         judged = [j.passed for j in self.judgements().values() if j.passed is not None]
         return all(judged) if judged else None
 

@@ -274,7 +274,6 @@ def _spacing(places: Floats) -> float:
 
 
 def _outline(places: Floats, low: Floats, cell: float, shape: NDArray[np.intp]) -> Mask:
-    """Find the largest connected region of the raster's occupied cells, its holes filled."""
     occupied = np.zeros(shape, bool)
     at = np.floor((places - low) / cell).astype(int)
     occupied[at[:, 0], at[:, 1]] = True

@@ -191,7 +191,6 @@ class Standard(Document):
 def _by_quantity(
     assignments: Iterable[str], option: str, example: str, number: Callable[[str], float]
 ) -> dict[str, float]:
-    """Read assignments of numbers to `QUANTITIES`. Raises `ConfigError`, naming the option."""
     numbers = {}
     for assignment in assignments:
         quantity, _, value = assignment.partition("=")

@@ -81,7 +81,6 @@ def _step_neighbours(runner: CandidateRunner, point: Point) -> Iterator[Point]:
 
 
 def _search_for_seed_points(runner: CandidateRunner) -> list[Point]:
-    """Find the start, the single-parameter optima, and phase plans at the best stripes and geometry."""
     space = runner.space
     phases, stripes, geometry = (space.of_group(group) for group in ("steps", "stripes", "geometry"))
     grown = _grow_phase_plan(runner, runner.start.point, phases)

@@ -41,7 +41,6 @@ def bring_by(fixture: Fixture, item: str) -> Bring:
 
 
 def held_first_pose(fixture: Fixture, item: str) -> RigidTransform | None:
-    """Return where the fixture holds the board in the first pose, before the camera can measure it."""
     return fixture.pose(item, 0) if isinstance(fixture, PosableFixture) else None
 
 

@@ -248,7 +248,6 @@ class _PoseGuideLoop:
         self._set_aside(self._sessions.pop(name))
 
     def _set_aside(self, session: Session) -> None:
-        """Move a pose that does not count out of the way, so that it is not taken for one that does."""
         aside = self._folder / REJECTED
         aside.mkdir(exist_ok=True)
         number = sum(1 for _ in aside.glob(f"{session.path.name}_*"))

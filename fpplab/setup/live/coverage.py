@@ -60,7 +60,6 @@ class BoardCoverage:
         return f"{name}: {len(self._observations[-1].ids)} points; {len(self.sessions)} poses so far"
 
     def _advised(self, newest: Observation) -> tuple[str, ...]:
-        """The pose that a guided characterisation would ask for, and what the poses lack."""
         try:
             self._guide.add(newest)
             return (self._guide.next_pose().description, *self._lacking())

@@ -158,7 +158,6 @@ class WorkingPoint:
         }
 
     def noise_um(self, sample: FrameSample) -> Floats:
-        """Compute the standard uncertainty by noise that the plan will have in the present light."""
         fine = sample.fits[sample.recording.plan.finest_set()]
         widest, lit = sample.widest, sample.measured
         modulation = region_medians(widest.modulation, lit)
@@ -195,5 +194,4 @@ def _blur_square(sample: FrameSample, contrast: Floats) -> Floats:
 
 
 def _centres(n: int, size: int) -> Floats:
-    """Pixels in the middle of n equal parts of an image."""
     return np.asarray((np.arange(n) + 0.5) * size / n - 0.5)

@@ -45,7 +45,6 @@ class LightLevels:
 
     @property
     def is_saturated(self) -> bool:
-        """Whether too many pixels are saturated for the peak to be known."""
         return self.saturated > 1.0 - GOALS.percentile / 100.0
 
 
@@ -159,7 +158,6 @@ def _of_gain(gain_db: float) -> float:
 
 
 def _limit_exposure(wanted_s: float, limits: ExposureLimits, reasons: list[str]) -> float:
-    """The longest exposure that is allowed and not too long; adds a sentence where it is too bright."""
     lower_s, upper_s = limits.exposure_s
     shortest_s = max(lower_s, limits.period_s)
     if limits.period_s > 0:
@@ -180,7 +178,6 @@ def _limit_exposure(wanted_s: float, limits: ExposureLimits, reasons: list[str])
 
 
 def _limit_gain(factor: float, exposure_s: float, limits: ExposureLimits, reasons: list[str]) -> float:
-    """The gain for what the exposure leaves; adds a sentence where that is not enough."""
     min_db, max_db = limits.gain_db
     gain_db = 20.0 * math.log10(factor)
     if gain_db > max_db:

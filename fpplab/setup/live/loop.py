@@ -123,7 +123,6 @@ class LiveSetUp:
 
     @property
     def poses(self) -> tuple[Path, ...]:
-        """Sessions of the poses that were taken and in which the board was found."""
         return tuple(self._coverage.sessions) if self._coverage else ()
 
     def run(self, turn: RigTurn) -> LiveStatus:
@@ -218,7 +217,6 @@ class LiveSetUp:
             self._over = True
 
     def _advise_exposure(self) -> None:
-        """Compute the advice, and follow it further where the operator has taken it."""
         levels, settings = self._measures.levels, self._settings
         assert settings is not None
         self._advice = None if levels is None else advise_exposure(levels, settings, self._limits)

@@ -59,7 +59,6 @@ class SetUpPage:
 
     @property
     def closed(self) -> bool:
-        """Whether the page was open, and the operator has closed it."""
         return self._left_s is not None and time.monotonic() - self._left_s > RELOAD_S
 
     def show(self, status: LiveStatus) -> None:

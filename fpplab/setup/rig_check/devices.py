@@ -78,7 +78,6 @@ def link_finding(info: DeviceInfo, frame_bytes: float, period_s: float) -> Findi
 def disk_finding(
     folder: Path, plan: Plan, frame: Image, settings: CameraSettings, period_s: float
 ) -> Finding | None:
-    """Write some frames as a scan does, and compare the rate with that of a triggered plan."""
     # frame (height, width)
     if plan.trigger != "triggered":
         return None
@@ -136,7 +135,6 @@ def does_light_flicker(rig: Rig, plan: Plan) -> bool:
 
 
 def with_mains(findings: Sequence[Finding], mains: Finding | None) -> tuple[Finding, ...]:
-    """Put the mains before the flicker that they cause."""
     if mains is None:
         return tuple(findings)
     flickering = [finding.excess for finding in findings if finding.cause in (FLICKER, BANDS)]

@@ -82,7 +82,6 @@ class MarkerRun:
 
     @property
     def rise(self) -> float:
-        """Difference between the brightest and the darkest level, as a share of full scale."""
         return float(np.nanmax(self.levels) - np.nanmin(self.levels))
 
     @property
@@ -185,7 +184,6 @@ class MarkerInspection:
         )
 
     def _of_trigger(self, rig: Rig, plan: Plan, shown: NDArray[np.int64], run: MarkerRun) -> list[Finding]:
-        """Diagnose a triggered run by a second one with more time between triggers."""
         shift = None if self._of_stepped else find_exposure_shift(self.runs[0].levels, run.levels)
         if _is_in_step(shown, run):  # levels that mix a little with their neighbours rise all the same
             return [_exposure_shift_finding(shift, plan.exposure_s)] if shift else []

@@ -77,7 +77,6 @@ class CharucoLayout(SquareLayout):
         return Detection(indices, np.asarray(pixels, np.float64).reshape(-1, 2))
 
     def misprint(self, grey: NDArray[np.uint8]) -> str | None:
-        """Find a board of other bright squares than this one; see `BoardLayout.misprint`."""
         # grey (height, width)
         model = self.model()
         if self._is_seen(model, np.invert(grey)):

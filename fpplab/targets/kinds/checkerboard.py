@@ -73,7 +73,6 @@ class Checkerboard(SquareLayout):
         return np.asarray(cv2.cornerSubPix(grey, refined, (half, half), (-1, -1), end), np.float64)[:, 0]
 
     def find_patch(self, grey: NDArray[np.uint8]) -> GridPatch | None:
-        """Find the largest grid of corners that OpenCV detects."""
         # grey (height, width)
         flags = FINDER_FLAGS | cv2.CALIB_CB_LARGER
         is_found, pixels, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
@@ -85,7 +84,6 @@ class Checkerboard(SquareLayout):
         return facing_front(np.stack([i, j], axis=-1).reshape(-1, 2), grid.reshape(-1, 2))
 
     def _colours_agree(self, grid: Floats, level: Floats) -> bool:
-        """Whether dark and bright squares lie where the board has them."""
         middles = 0.25 * (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1])
         u, v = np.rint(middles).astype(int).transpose(2, 0, 1)
         levels = level[v.clip(0, level.shape[0] - 1), u.clip(0, level.shape[1] - 1)]
