@@ -49,7 +49,6 @@ P = ParamSpec("P")
 
 
 def as_png(draw: Callable[P, Figure]) -> Callable[P, bytes]:
-
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> bytes:
         with common_style():

@@ -22,9 +22,6 @@ class DeviceIdentity(Document):
     offset_px: tuple[int, int] | None = None
     """Of a camera: column and row of the sensor where its frames begin, in px; None where it is unknown."""
 
-    def is_same_device(self, other: DeviceIdentity) -> bool:
-        return (self.model, self.serial) == (other.model, other.serial)
-
     @property
     def description(self) -> str:
         return f"{self.model}, serial {self.serial}" if self.serial else f"{self.model}, no serial number"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -32,24 +32,14 @@ class CandidateFigures:
 
     @classmethod
     def of(cls, scores: Sequence[Score]) -> CandidateFigures:
-
-        def mean(name: str) -> float:
-            return float(np.mean([getattr(score, name) for score in scores]))
-
         seeds, artefacts = (list(_mean_scores_by(scores, key).values()) for key in ("seed", "artefact"))
+        means = [f.name for f in fields(cls) if f.name != "images" and hasattr(scores[0], f.name)]
         return cls(
-            surface_smcd_um=mean("surface_smcd_um"),
             smcd_spread_um=float(np.std(seeds, ddof=1)) if len(seeds) > 1 else None,
             worst_smcd_um=max(seeds),
             worst_artefact_um=max(artefacts),
-            surface_rms_um=mean("surface_rms_um"),
-            smcd_um=mean("smcd_um"),
-            smcd_floor_um=mean("smcd_floor_um"),
-            completeness=mean("completeness"),
-            wrong_orders=mean("wrong_orders"),
-            outliers=mean("outliers"),
             images=scores[0].images,
-            seconds=mean("seconds"),
+            **{name: float(np.mean([getattr(score, name) for score in scores])) for name in means},
         )
 
 

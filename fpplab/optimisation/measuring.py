@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -22,7 +23,7 @@ from fpplab.core.errors import CalibrationError, ConfigError, DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import RigArranger, StageCalibrations
-from fpplab.optimisation.candidate import Candidate, Score
+from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.fringe_cache import FringeSetCache, MeasuringSetup
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.problem import SearchProblem
@@ -159,9 +160,10 @@ class RigEvaluatorFactory:
 
     rig: str  # rig file, by path or name, as the worker finds it
     problem: SearchProblem  # what is measured
+    kind: Callable[[str, SearchProblem], Evaluator] = RigEvaluator  # what measures, or predicts
 
-    def __call__(self) -> RigEvaluator:
-        return RigEvaluator(self.rig, self.problem)
+    def __call__(self) -> Evaluator:
+        return self.kind(self.rig, self.problem)
 
 
 def possible_coordinates(plan: Plan, calibration: Calibration, rig: Rig) -> DecodingBounds:

@@ -23,7 +23,7 @@ from fpplab.optimisation.measuring import RigEvaluator, RigEvaluatorFactory
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.scheduling import EvaluatorFactory, make_workers
 from fpplab.optimisation.scope import SearchScope
-from fpplab.optimisation.screening import SampledEvaluatorFactory, can_screen
+from fpplab.optimisation.screening import SampledEvaluator, can_screen
 from fpplab.optimisation.search_method import SearchMethod
 from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.storage import Journal
@@ -63,7 +63,7 @@ def run_search(
             study = with_calibrations(opened, study, work_folder(out), progress)
     measured, predicted = (Journal(path, study, file) for path in journal_paths(scope, out))
     measuring = factory or RigEvaluatorFactory(_absolute(rig), study)
-    searching = SampledEvaluatorFactory(_absolute(rig), study) if screened else measuring
+    searching = RigEvaluatorFactory(_absolute(rig), study, SampledEvaluator) if screened else measuring
     with closing(make_workers(searching, count, scheduler)) as searchers:
         runner = CandidateRunner(space, searchers, predicted if screened else measured, observe)
         ended, ended_early = _run_search_method(runner, study.method)

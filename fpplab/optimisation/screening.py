@@ -19,7 +19,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import FrameSampler, Predictable
-from fpplab.optimisation.candidate import Candidate, Evaluator, Fringes, Score
+from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.measuring import possible_coordinates
 from fpplab.optimisation.problem import SearchProblem
@@ -199,14 +199,3 @@ def _combine_figures_of_parts(
         outliers=mean("outliers"),
         surface_spread_um=mean("surface_spread_um", power=2) / np.sqrt(len(weighted)),
     )
-
-
-@dataclass(frozen=True)
-class SampledEvaluatorFactory:
-    """Opens the rig of a study for predictions."""
-
-    rig: str  # rig file, by path or name, as the worker finds it
-    problem: SearchProblem  # what is predicted
-
-    def __call__(self) -> Evaluator:
-        return SampledEvaluator(self.rig, self.problem)

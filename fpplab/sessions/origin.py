@@ -74,7 +74,8 @@ def other_devices(calibration: CalibrationOrigin, measured: SessionOrigin) -> li
     return [
         name
         for name, made, used in pairs
-        if made and used and made.serial and used.serial and not made.is_same_device(used)
+        if made and used and made.serial and used.serial
+        if (made.model, made.serial) != (used.model, used.serial)
     ]
 
 

@@ -78,7 +78,6 @@ def _candidate_row(name: str, trial: MeasuredCandidate) -> str:
 def front_so_far(
     measured: Sequence[MeasuredCandidate], front: Sequence[MeasuredCandidate], best: MeasuredCandidate
 ) -> Sheet:
-
     def places(trials: Sequence[MeasuredCandidate]) -> tuple[list[int], list[float]]:
         figures: list[CandidateFigures] = [trial.figures for trial in trials]
         return [f.images for f in figures], [f.surface_smcd_um for f in figures]

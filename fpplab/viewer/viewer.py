@@ -220,7 +220,6 @@ def _send_object(process: subprocess.Popen[bytes], content: object) -> None:
 
 
 def _wait_for_thread(thread: threading.Thread) -> Callable[[float], bool]:
-
     def joined(seconds: float) -> bool:
         thread.join(seconds)
         return not thread.is_alive()
@@ -229,7 +228,6 @@ def _wait_for_thread(thread: threading.Thread) -> Callable[[float], bool]:
 
 
 def _wait_for_process(process: subprocess.Popen[bytes]) -> Callable[[float], bool]:
-
     def ended(seconds: float) -> bool:
         with suppress(subprocess.TimeoutExpired):
             process.wait(seconds)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from fpplab.characterisation import Characterisation
@@ -26,9 +26,6 @@ class PoseAttempt:
     form_mm: float | None  # standard uncertainty of form in mm with this pose
     findings: tuple[Finding, ...]  # what is wrong with it
     accepted: bool  # whether it counts
-
-    def rejected_later(self, finding: Finding) -> PoseAttempt:
-        return replace(self, accepted=False, findings=(finding, *self.findings))
 
     def summary(self) -> dict[str, Any]:
         fit = self.fit

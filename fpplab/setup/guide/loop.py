@@ -140,7 +140,8 @@ class _PoseGuideLoop:
             self._accept_or_reject_pose(session, "kept from before")
 
     def _take_next_pose(self) -> None:
-        guide, number = self._guide, self._free_number()
+        guide, taken = self._guide, self._sessions
+        number = next(k for k in range(len(taken) + 1) if self._pose_folder(k).name not in taken)
         if self._pose is None:
             self._pose = guide.next_pose(fill=self._empty_image_parts_come_first())
         pose, path = self._pose, self._pose_folder(number)
@@ -241,7 +242,8 @@ class _PoseGuideLoop:
     def _reject_accepted_pose(self, name: str, why: str) -> None:
         finding = inconsistent_pose(why)
         at = max(k for k, attempt in enumerate(self._attempts) if attempt.name == name and attempt.accepted)
-        self._attempts[at] = self._attempts[at].rejected_later(finding)
+        attempt = self._attempts[at]
+        self._attempts[at] = replace(attempt, accepted=False, findings=(finding, *attempt.findings))
         if any(o.name == name for o in self._guide.observations):
             self._guide.drop(name)
         self._tell(f"{name} does not count any more: {finding.sentence}")
@@ -270,11 +272,6 @@ class _PoseGuideLoop:
         if not self._sessions:
             return None
         return list(self._sessions.values())[-1].recording(verify=False).mean_image()
-
-    def _free_number(self) -> int:
-        return next(
-            k for k in range(len(self._sessions) + 1) if self._pose_folder(k).name not in self._sessions
-        )
 
     def _pose_folder(self, number: int) -> Path:
         return self._folder / f"pose_{number:02d}"

@@ -101,15 +101,6 @@ class ExposureAdvice:
     limits: tuple[str, ...]  # what limits the image, and what to do about it
     is_right: bool  # whether the present exposure needs no change
 
-    def summary(self) -> dict[str, object]:
-        return {
-            "exposure_s": self.exposure_s,
-            "gain_db": self.gain_db,
-            "peak": self.peak,
-            "limits": list(self.limits),
-            "is_right": self.is_right,
-        }
-
 
 def levels_of_fringes(sample: FrameSample, black: float = 0.0) -> LightLevels | None:
     if not sample.lit.any():

@@ -57,7 +57,7 @@ class LiveStatus:
             "exposure_s": self.settings.exposure_s if self.settings else None,
             "gain_db": self.settings.gain_db if self.settings else None,
             "light": None if self.levels is None else self.levels.__dict__,
-            "advice": None if self.advice is None else self.advice.summary(),
+            "advice": None if self.advice is None else self.advice.__dict__,
             "focus": {"camera": self.camera_focus.summary(), "projector": self.projector_focus.summary()},
             "findings": [finding.summary() for finding in self.findings],
             "expected": expected,
