@@ -40,8 +40,6 @@ def artefact_types() -> dict[str, type[Artefact]]:
 
 NAMES = tuple(name for name, shape in artefact_types().items() if not shape.is_standard)
 
-STANDARDS = tuple(name for name, shape in artefact_types().items() if shape.is_standard)
-
 
 def make(name: str, sizes: Mapping[str, Lengths] | None = None) -> trimesh.Trimesh:
     """Build the mesh of an artefact or standard."""

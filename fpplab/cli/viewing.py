@@ -176,10 +176,9 @@ def observe_measurement(
 ) -> Observer:
     if not (requested or keep_open):
         return ConsoleObserver()
-    from fpplab.viewer.measurement import MeasurementView
+    from fpplab.viewer.measurement import MeasurementView as View
 
-    viewer = open_viewer(context, MeasurementView, requested, keep_open, recording)
-    return MeasurementObserver(viewer, MeasurementView)
+    return MeasurementObserver(open_viewer(context, View, requested, keep_open, recording), View)
 
 
 def observe_characterisation(
@@ -187,19 +186,17 @@ def observe_characterisation(
 ) -> Observer:
     if not (requested or keep_open):
         return ConsoleObserver()
-    from fpplab.viewer.characterisation import CharacterisationView
+    from fpplab.viewer.characterisation import CharacterisationView as View
 
-    viewer = open_viewer(context, CharacterisationView, requested, keep_open, recording)
-    return CharacterisationObserver(viewer, CharacterisationView)
+    return CharacterisationObserver(open_viewer(context, View, requested, keep_open, recording), View)
 
 
 def observe_acceptance(context: typer.Context, requested: bool, keep_open: bool, recording: Path) -> Observer:
     if not (requested or keep_open):
         return ConsoleObserver()
-    from fpplab.viewer.acceptance import AcceptanceView
+    from fpplab.viewer.acceptance import AcceptanceView as View
 
-    viewer = open_viewer(context, AcceptanceView, requested, keep_open, recording)
-    return AcceptanceObserver(viewer, AcceptanceView)
+    return AcceptanceObserver(open_viewer(context, View, requested, keep_open, recording), View)
 
 
 def observe_response(context: typer.Context, requested: bool, keep_open: bool, recording: Path) -> Observer:

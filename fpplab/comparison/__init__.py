@@ -2,14 +2,13 @@
 
 from fpplab.comparison.compare import Comparison, UnseenMeshError, compare, mcd, smcd
 from fpplab.comparison.lengths import MeasuredLength
-from fpplab.comparison.misplacement import Misplacement, find_misplacement
+from fpplab.comparison.misplacement import find_misplacement
 from fpplab.comparison.scale import FittedScale
 
 __all__ = [
     "Comparison",
     "FittedScale",
     "MeasuredLength",
-    "Misplacement",
     "UnseenMeshError",
     "compare",
     "find_misplacement",

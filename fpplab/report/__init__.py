@@ -3,6 +3,6 @@
 from fpplab.report.measurements import write_report
 from fpplab.report.page import PageBasis, is_report
 from fpplab.report.scan_section import ScanSection
-from fpplab.report.scans import scan_section, write_scan_report
+from fpplab.report.scans import write_scan_report
 
-__all__ = ["PageBasis", "ScanSection", "is_report", "scan_section", "write_report", "write_scan_report"]
+__all__ = ["PageBasis", "ScanSection", "is_report", "write_report", "write_scan_report"]

@@ -2,6 +2,5 @@
 
 from fpplab.targets.partial import UnclearPart
 from fpplab.targets.target import Target
-from fpplab.targets.views import Detection
 
-__all__ = ["Detection", "Target", "UnclearPart"]
+__all__ = ["Target", "UnclearPart"]

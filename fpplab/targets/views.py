@@ -93,3 +93,16 @@ def window_pixels(
             if abs(x) <= half_mm and abs(y) <= half_mm:
                 rows[n], columns[n], n = v, u, n + 1
     return rows[:n], columns[:n]
+
+
+def eccentricity(matrix: Floats, circles: Floats, radius: float) -> Floats:
+    """Compute the offset of the centres of ellipses from the images of the circles' centres."""
+    # matrix (3, 3); circles (K, 2) mm; radius mm; returns (K, 2) px
+    duals = np.stack([_dual_circle(circle, radius) for circle in circles])
+    ellipses = matrix @ duals @ matrix.T
+    return np.asarray(ellipses[:, :2, 2] / ellipses[:, 2:, 2] - apply_homography(matrix, circles))
+
+
+def _dual_circle(centre: Floats, radius: float) -> Floats:
+    pole = np.append(centre, 1.0)
+    return np.asarray(np.outer(pole, pole) - radius**2 * np.diag([1.0, 1.0, 0.0]))

@@ -11,7 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats, Image, Mask, full_scale
+from fpplab.core.conventions import Image, Mask, full_scale
 from fpplab.devices import Frame
 from fpplab.patterns.fringes import Pattern
 from fpplab.setup.live.expectation import RigGeometry
@@ -68,14 +68,6 @@ class LitImage:
 
 
 @dataclass(frozen=True, eq=False)
-class FocusShares:
-    """Focus of a device as a share of its best."""
-
-    whole: float | None  # of the whole image
-    regions: Floats  # of each region, NaN where not known
-
-
-@dataclass(frozen=True, eq=False)
 class LiveSnapshot:
     """What is shown of the set-up after a frame."""
 
@@ -83,7 +75,7 @@ class LiveSnapshot:
     image: LitImage  # what the camera sees
     pattern: NDArray[np.uint8]  # what the projector shows, subsampled
     pattern_id: str  # shows whether the pattern has changed
-    focus: dict[str, FocusShares]  # by device, where it was measured with this frame
+    focus: dict[str, FocusTracker]  # by device, where it was measured with this frame
     levels: LightLevels | None  # light, where it was measured with this frame
     state_text: str  # the state in Markdown
 
@@ -168,19 +160,19 @@ class LiveView(CommandView):
             self._state_text = now.state_text
             self.canvas.text("words", now.state_text, static=False)
 
-    def _draw_focus(self, name: str, focus: FocusShares, cell_px: int = 40) -> None:
+    def _draw_focus(self, name: str, focus: FocusTracker, cell_px: int = 40) -> None:
         import rerun as rr
 
-        if focus.whole is not None:
-            self.canvas.value(f"focus/{name}", 100.0 * focus.whole)
-        measured = np.isfinite(focus.regions)
-        table = mpl.colormaps["RdYlGn"](np.clip(np.nan_to_num(focus.regions), 0.0, 1.0))[..., :3]
+        if focus.share is not None:
+            self.canvas.value(f"focus/{name}", 100.0 * focus.share)
+        measured = np.isfinite(focus.shares)
+        table = mpl.colormaps["RdYlGn"](np.clip(np.nan_to_num(focus.shares), 0.0, 1.0))[..., :3]
         rgb = np.rint(200 * table).astype(np.uint8)
         rgb[~measured] = UNKNOWN_FOCUS
         entity = f"maps/{name}_focus"
         self.canvas.log(entity, rr.Image(rgb.repeat(cell_px, axis=0).repeat(cell_px, axis=1)))
         v, u = np.meshgrid(*((np.arange(n) + 0.5) * cell_px for n in REGIONS), indexing="ij")
-        labels = [f"{100 * share:.0f}" if share == share else "–" for share in focus.regions.ravel()]
+        labels = [f"{100 * share:.0f}" if share == share else "–" for share in focus.shares.ravel()]
         centres = np.stack([u.ravel(), v.ravel()], axis=1)
         points = rr.Points2D(centres, labels=labels, show_labels=True, radii=0.0, colors=(255, 255, 255))
         self.canvas.log(f"{entity}/share", points)
@@ -215,7 +207,7 @@ class LiveFrames:
         )
         self._viewer.show_one_of_many(LiveView.snapshot, snapshot)
 
-    def _focus_measured(self, status: LiveStatus) -> dict[str, FocusShares]:
+    def _focus_measured(self, status: LiveStatus) -> dict[str, FocusTracker]:
         trackers: dict[str, FocusTracker] = {
             "camera": status.camera_focus,
             "projector": status.projector_focus,
@@ -224,7 +216,7 @@ class LiveFrames:
             name: tracker for name, tracker in trackers.items() if tracker.now is not self._focus.get(name)
         }
         self._focus |= {name: tracker.now for name, tracker in new.items()}
-        return {name: FocusShares(tracker.share, tracker.shares) for name, tracker in new.items()}
+        return new
 
 
 def _state_text(status: LiveStatus) -> str:

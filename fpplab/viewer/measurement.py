@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -61,20 +61,13 @@ class Colouring:
         return f"world/coloured/{self.name.replace(' ', '_')}"
 
 
-@dataclass
-class _Shown:
-    """What has been shown so far, which decides how the next data are shown."""
-
-    plan: tuple[Plan, tuple[int, int], Lattice] | None = None
-    calibration: Calibration | None = None
-    frames: dict[int, NDArray[np.generic]] = field(default_factory=dict)
-
-
 class MeasurementView(CommandView):
     """Images and maps on the right; on the left the part, in several colourings, and the rig."""
 
     def arrange_views(self) -> None:
-        self._shown = _Shown()
+        self._shown_plan: tuple[Plan, tuple[int, int], Lattice] | None = None
+        self._shown_calibration: Calibration | None = None
+        self._shown_frames: dict[int, NDArray[np.generic]] = {}
         self.canvas.directions("world")
         self.canvas.layout(self.arrangement())
 
@@ -108,7 +101,7 @@ class MeasurementView(CommandView):
         return rrb.Tabs(part, *coloured, rig, active_tab=first, name="Scene")
 
     def pictures(self) -> list[Any]:
-        axes: tuple[Axis, ...] = self._shown.plan[0].axes if self._shown.plan else ("x", "y")
+        axes: tuple[Axis, ...] = self._shown_plan[0].axes if self._shown_plan else ("x", "y")
         coordinates = {"x": ("Projector columns u", "/maps/u"), "y": ("Projector rows v", "/maps/v")}
         listed = [
             ("Camera", f"/{IMAGE}"),
@@ -120,20 +113,20 @@ class MeasurementView(CommandView):
         return [layouts.image(name, origin) for name, origin in listed]
 
     def plan(self, plan: Plan, size: tuple[int, int], lattice: Lattice) -> None:
-        self._shown.plan = (plan, size, lattice)
+        self._shown_plan = (plan, size, lattice)
         self.canvas.layout(self.arrangement())
 
     def frame(self, frame: ShownFrame) -> None:
         self.canvas.at("frame", frame.index)
         self.canvas.picture(IMAGE, eight_bits(frame.image, frame.bits))
-        if self._shown.plan is not None:
-            plan, size, lattice = self._shown.plan
+        if self._shown_plan is not None:
+            plan, size, lattice = self._shown_plan
             index, step, _ = list(plan.steps())[frame.index]
             self.canvas.picture(PATTERN, subsample_columns(pattern_image(plan, index, step, size, lattice)))
             self._collect(frame, plan, index, step)
 
     def _collect(self, frame: ShownFrame, plan: Plan, index: int, step: int) -> None:
-        fringe, frames = plan.sets[index], self._shown.frames
+        fringe, frames = plan.sets[index], self._shown_frames
         if step == 0:
             frames.clear()
         frames[step] = frame.image
@@ -147,7 +140,7 @@ class MeasurementView(CommandView):
         self.canvas.map("maps/phase", phase, ColourScale("Phase", "rad", "twilight", 0.0, TWO_PI))
 
     def calibration(self, calibration: Calibration) -> None:
-        self._shown.calibration = calibration
+        self._shown_calibration = calibration
         show_devices(self.canvas, calibration)
 
     def maps(self, decoded: Decoded) -> None:
@@ -193,11 +186,11 @@ class MeasurementView(CommandView):
         self.canvas.open_on("rig", CLOUD, cloud.points)
 
     def _risk(self, decoded: Decoded, cloud: Cloud, depth: DepthRange | None) -> Map | None:
-        if self._shown.plan is None or cloud.pixels is None:
+        if self._shown_plan is None or cloud.pixels is None:
             return None
-        plan, size, _ = self._shown.plan
+        plan, size, _ = self._shown_plan
         with suppress(FppError):  # a plan that this calibration cannot unwrap has no known risk
-            bounds = self._shown.calibration and decoding_bounds(plan, self._shown.calibration, depth)
+            bounds = self._shown_calibration and decoding_bounds(plan, self._shown_calibration, depth)
             interval_shares = {axis: widest_interval_share(bounds or None, axis, size) for axis in plan.axes}
             u, v = cloud.pixels.T
             return np.asarray(order_risk(decoded, plan, size, interval_shares)[v, u])

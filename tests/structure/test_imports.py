@@ -25,7 +25,6 @@ LOADERS = {
     "fpplab/core/tagged_union.py",  # the files of a package of kinds
     "fpplab/diagnosis/catalogue.py",  # the files of `fpplab.diagnosis.causes`
     "fpplab/devices/backends.py",  # what a rig file names
-    "fpplab/targets/kinds/__init__.py",  # the files of that package
 }
 """Where a module may be imported by a name that is data."""
 

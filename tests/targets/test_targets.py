@@ -12,10 +12,9 @@ from fpplab.core import config
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
-from fpplab.targets.ellipses import eccentricity
 from fpplab.targets.kinds.charuco import CharucoLayout
 from fpplab.targets.kinds.circles import CircleGrid
-from fpplab.targets.views import Detection, apply_homography, homography, local_frames
+from fpplab.targets.views import Detection, apply_homography, eccentricity, homography, local_frames
 from tests.support.boards import plane_homography, pose, render
 
 CIRCLES = {"kind": "circles", "size_mm": [60, 42], "counts": [13, 4], "spacing_mm": [4.5, 9],

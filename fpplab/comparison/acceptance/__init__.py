@@ -1,6 +1,6 @@
 """The acceptance test of a measuring system on a ball bar and a plane, after VDI/VDE 2634 part 2."""
 
-from fpplab.comparison.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_without_worst
+from fpplab.comparison.acceptance.fitting import fit_plane, fit_sphere, fit_without_worst
 from fpplab.comparison.acceptance.results import (
     CONVENTIONS,
     VERDICTS,
@@ -21,9 +21,7 @@ __all__ = [
     "Acceptance",
     "BallBarTest",
     "MeasuredFeature",
-    "Plane",
     "PlaneTest",
-    "Sphere",
     "SphereTest",
     "Standard",
     "fit_plane",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,9 +20,6 @@ class MarksInView:
     points: int
     located: int  # at the time of the characterisation
     moved_px: float | None  # median distance; None where none are seen
-
-    def summary(self) -> dict[str, object]:
-        return asdict(self)
 
     @property
     def line(self) -> str:

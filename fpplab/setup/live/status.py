@@ -61,7 +61,7 @@ class LiveStatus:
             "focus": {"camera": self.camera_focus.summary(), "projector": self.projector_focus.summary()},
             "findings": [finding.summary() for finding in self.findings],
             "expected": expected,
-            "marks": None if self.marks is None else self.marks.summary(),
+            "marks": None if self.marks is None else self.marks.__dict__,
             "coverage": self.coverage,
             "stage": None if self.stage is None else self.stage.__dict__,
             "message": self.message,

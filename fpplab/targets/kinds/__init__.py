@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from inspect import isabstract
-from pkgutil import iter_modules
-
+from fpplab.core.tagged_union import concrete_subclasses, import_members
 from fpplab.targets.layout import BoardLayout
 
+import_members(__name__, __path__)
 
-def _listed() -> dict[str, type[BoardLayout]]:
-    layouts = {}
-    # In reverse alphabetical order messages list the kinds as they always have.
-    for name in sorted((module.name for module in iter_modules(__path__)), reverse=True):
-        module = import_module(f"{__name__}.{name}")
-        own = [
-            member for member in vars(module).values() if getattr(member, "__module__", "") == module.__name__
-        ]
-        (layout,) = [member for member in own if isinstance(member, type) and issubclass(member, BoardLayout)]
-        assert not isabstract(layout), f"{layout} leaves out {sorted(layout.__abstractmethods__)}"
-        layouts[name] = layout
-    return layouts
+_LAYOUTS = {
+    layout.__module__.rpartition(".")[2]: layout
+    for layout in concrete_subclasses(BoardLayout)  # type: ignore[type-abstract]
+}
 
-
-KINDS: dict[str, type[BoardLayout]] = _listed()  # the layout of each kind of board, by name
+# In reverse alphabetical order messages list the kinds as they always have.
+KINDS: dict[str, type[BoardLayout]] = dict(sorted(_LAYOUTS.items(), reverse=True))
 
 OWN_FIELDS: dict[str, dict[str, type[BoardLayout]]] = {}
 """The fields that only some kinds have, each with the layouts that have it by the name of the kind."""

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
 from fpplab.targets.drawing import InkDisc, InkShape
-from fpplab.targets.ellipses import eccentricity
 from fpplab.targets.layout import BoardLayout, GridPatch, PointLattice
 from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.ordering import in_order
 from fpplab.targets.patches import patch_of_blobs
 from fpplab.targets.profiles import PointModel, disc
-from fpplab.targets.views import Detection, homography
+from fpplab.targets.views import Detection, eccentricity, homography
 
 
 class CircleGrid(BoardLayout):

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
 from fpplab.targets.drawing import InkDisc, InkShape
-from fpplab.targets.ellipses import eccentricity
 from fpplab.targets.layout import BoardLayout
 from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.markers import DictionaryName, draw_marker, load_dictionary, markers_in
 from fpplab.targets.profiles import PointModel, disc
-from fpplab.targets.views import Detection, apply_homography, homography, local_frames
+from fpplab.targets.views import Detection, apply_homography, eccentricity, homography, local_frames
 
 CIRCLES = 4
 
