@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from statistics import median
 from typing import TypeVar
 
@@ -17,6 +16,7 @@ from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats, Map
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.phase import Decoded
 from fpplab.reconstruction.points import triangulate
 from fpplab.reconstruction.triangulation import camera_slopes, forget_cameras
 
@@ -25,15 +25,6 @@ T = TypeVar("T")
 SIZE = (2736, 1824)
 ROUNDS = 3
 AGREEMENT_MM = 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class _Maps:
-    u: Map
-    v: Map
-    sigma: Map
-    v_per_u: float = 1.0
-    sigma_phase_error: Map | None = None
 
 
 def run() -> list[Result]:
@@ -80,7 +71,7 @@ def _bench() -> Calibration:
     return Calibration(camera, projector, RigidTransform(turn.rotation, -turn.rotation @ place), {})
 
 
-def _scene(calibration: Calibration) -> tuple[_Maps, Floats, Floats]:
+def _scene(calibration: Calibration) -> tuple[Decoded, Floats, Floats]:
     """A waved surface: what decoding gives, and the same as pixels (N, 2) and coordinates (N, 2)."""
     a, b = camera_slopes(calibration.camera)
     z = 450.0 + 15.0 * np.sin(40.0 * a) * np.cos(30.0 * b) + 40.0 * a
@@ -91,7 +82,8 @@ def _scene(calibration: Calibration) -> tuple[_Maps, Floats, Floats]:
     inside = ((seen >= -0.5) & (seen <= np.array(calibration.projector.size) - 0.5)).all(axis=-1)
     seen[~inside] = np.nan
     v, u = np.nonzero(inside)
-    maps = _Maps(seen[..., 0].copy(), seen[..., 1].copy(), np.full(inside.shape, 0.02, np.float32))
+    sigma = np.full(inside.shape, 0.02, np.float32)
+    maps = Decoded(seen[..., 0].copy(), seen[..., 1].copy(), np.ones_like(sigma), sigma)
     return maps, np.stack([u, v], axis=1).astype(np.float64), seen[inside].astype(np.float64)
 
 

@@ -17,15 +17,8 @@ from fpplab.optimisation.storage import ScoresOrReason
 Task = tuple[Candidate, int]  # a candidate and a seed
 OutcomeCallback = Callable[[int, ScoresOrReason], None]  # called with the index of a task and its outcome
 
-
-class EvaluatorFactory(Protocol):
-    """Opens an evaluator in the process that is to measure; it is pickled on the way there."""
-
-    def __call__(self) -> Evaluator:
-        """Open the rig. Called in the worker, before its first measurement."""
-        ...
-
-    def __hash__(self) -> int: ...
+EvaluatorFactory = Callable[[], Evaluator]
+"""Opens the rig in the process that is to measure, before its first measurement; pickled on the way there."""
 
 
 class Workers(Protocol):

@@ -14,7 +14,7 @@ from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
 from fpplab.reconstruction.filtering import apply_filter
-from fpplab.reconstruction.triangulation import DecodedMaps, coded_maps, solve_pixels
+from fpplab.reconstruction.triangulation import coded_maps, solve_pixels
 
 
 def points_of(
@@ -26,7 +26,7 @@ def points_of(
 
 
 def triangulate(
-    decoded: DecodedMaps,
+    decoded: Decoded,
     calibration: Calibration,
     texture: NDArray[np.uint8] | None = None,
     normals: bool = True,

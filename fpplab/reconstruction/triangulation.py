@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numba import njit, prange
@@ -21,6 +21,7 @@ from fpplab.core import buffers
 from fpplab.core.conventions import Axis, Floats, Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import INVERSION_STEPS, PIXEL_TOLERANCE, Pinhole, distort
+from fpplab.phase import Decoded
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 
 T = TypeVar("T", bound=np.generic)
@@ -30,31 +31,6 @@ Numbers = tuple[float, ...]
 
 _slopes: OrderedDict[tuple[object, ...], Floats] = OrderedDict()
 _lock = threading.Lock()
-
-
-class DecodedMaps(Protocol):
-    """Projector coordinates of a camera's pixels: what triangulation reads of decoded maps."""
-
-    @property
-    def u(self) -> Map:
-        """Projector coordinate u in px, float32 (height, width), NaN where unknown; all NaN if not coded."""
-
-    @property
-    def v(self) -> Map:
-        """Projector coordinate v in px, float32 (height, width), NaN as for u."""
-
-    @property
-    def sigma(self) -> Map:
-        """Standard deviation in px of u, or of v where only that is coded, float32 (height, width)."""
-
-    @property
-    def v_per_u(self) -> float:
-        """Ratio of the standard deviation of v to that of u."""
-
-    @property
-    def sigma_phase_error(self) -> Map | None:
-        """As `sigma`, by errors that are common to all pixels of one phase; None where not known."""
-
 
 _UNKNOWN = np.empty((0, 0), np.float32)
 
@@ -97,7 +73,7 @@ class Solutions(NamedTuple):
     colour: NDArray[np.uint8]  # (N,)
 
 
-def coded_maps(decoded: DecodedMaps, texture: NDArray[np.uint8] | None = None) -> CodedMaps:
+def coded_maps(decoded: Decoded, texture: NDArray[np.uint8] | None = None) -> CodedMaps:
     # texture (height, width)
     use_u, use_v = any_known(decoded.u), any_known(decoded.v)
     if not (use_u or use_v):
@@ -113,7 +89,7 @@ def coded_maps(decoded: DecodedMaps, texture: NDArray[np.uint8] | None = None) -
     )
 
 
-def coordinate_noise(decoded: DecodedMaps) -> CoordinateNoise:
+def coordinate_noise(decoded: Decoded) -> CoordinateNoise:
     if not any_known(decoded.u):
         return np.inf, 1.0
     return 1.0, decoded.v_per_u if any_known(decoded.v) else np.inf

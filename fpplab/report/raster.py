@@ -20,12 +20,10 @@ class CloudLike(Protocol):
     @property
     def points(self) -> NDArray[np.float32]:
         """Points (N, 3) in mm."""
-        ...
 
     @property
     def pixels(self) -> NDArray[np.int32] | None:
         """Camera pixels (N, 2), or None."""
-        ...
 
 
 class Raster(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -18,32 +18,8 @@ from fpplab.diagnosis.causes.of_rig_check import draw_marker_levels
 from fpplab.patterns.response import Response
 
 
-class ResponseLike(Protocol):
-    """A response `out = a S(in) + b`, both in [0, 1]."""
-
-    @property
-    def a(self) -> float: ...
-
-    @property
-    def b(self) -> float:
-        """Level of a dark image."""
-        ...
-
-    @property
-    def g(self) -> float: ...
-
-    @property
-    def spline(self) -> tuple[float, ...] | None:
-        """Coefficients of S; none for a power law."""
-        ...
-
-    def apply(self, levels_in: Floats) -> Floats:
-        """Levels seen, as shares of full scale, for levels shown, in [0, 1]."""
-        ...
-
-
 @as_png
-def response_curve(response: ResponseLike, levels: Floats) -> Figure:
+def response_curve(response: Response, levels: Floats) -> Figure:
     # levels (K, 2)
     shown, measured = levels.T
     axis = np.linspace(0, 1, 200)
@@ -129,7 +105,7 @@ def marker_levels(shown: NDArray[np.integer[Any]], runs: Mapping[str, Floats]) -
     return draw_marker_levels(shown, runs)
 
 
-def _formula(response: ResponseLike) -> str:
+def _formula(response: Response) -> str:
     sign = "+" if response.b >= 0 else "−"
     if response.spline:
         return f"{response.a:.3f} · S(level) {sign} {abs(response.b):.3f}"

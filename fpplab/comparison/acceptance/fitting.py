@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,14 +13,6 @@ from fpplab.core.errors import DataError
 
 DISCARDED_SHARE = 0.003
 """Share of the points farthest from the fit, 3 ‰, that a test after VDI/VDE 2634 part 2 may discard."""
-
-
-class FittedFeature(Protocol):
-    """A shape fitted to points, as `fit_without_worst` needs it."""
-
-    def distances(self, points: Floats) -> Floats:
-        """Signed distances (N,) of points (N, 3) from the shape, in mm."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +81,7 @@ def fit_plane(points: Floats) -> Plane:
     return Plane(middle, np.asarray(-normal if normal @ middle > 0.0 else normal))
 
 
-F = TypeVar("F", bound=FittedFeature)
+F = TypeVar("F", Sphere, Plane)
 
 
 def fit_without_worst(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.clouds import Cloud
-from fpplab.comparison.acceptance.fitting import FittedFeature, Plane, Sphere, fit_without_worst, peak_to_peak
+from fpplab.comparison.acceptance.fitting import F, Plane, Sphere, fit_without_worst, peak_to_peak
 from fpplab.comparison.acceptance.standard import QUANTITIES, Standard
 from fpplab.core.conventions import Floats, Mask
 
@@ -22,8 +22,6 @@ CONVENTIONS = {
 }
 """What the errors of form are the range of; those without `_all` are judged."""
 VERDICTS = {True: "passed", False: "not passed", None: "not judged"}  # words for a judgement in reports
-
-F = TypeVar("F", bound=FittedFeature)
 
 
 @dataclass(frozen=True, eq=False)

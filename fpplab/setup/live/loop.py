@@ -10,7 +10,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty
-from typing import Protocol
 
 import numpy as np
 
@@ -48,15 +47,8 @@ GAIN_STEP_DB = 1.0  # change of gain by one key, in dB (chosen)
 REFUSALS = (SettingError, CapabilityError, LimitError, StateError, ConfigError, DataError, SyncError)
 """Errors that refuse an order, after which the set-up continues. Any other is a fault of a device."""
 
-
-class LiveObserver(Protocol):
-    """What shows the set-up: a viewer, a page, a terminal."""
-
-    def __call__(
-        self, status: LiveStatus, frame: Frame | None, pattern: Pattern | None, dark: Mask | None
-    ) -> bool:
-        # dark (height, width)
-        ...
+LiveObserver = Callable[[LiveStatus, Frame | None, Pattern | None, Mask | None], bool]
+"""What shows the set-up: a viewer, a page, a terminal."""
 
 
 @dataclass(frozen=True)
