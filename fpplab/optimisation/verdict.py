@@ -78,10 +78,8 @@ def _find_missing_gain(result: SearchResult) -> Iterator[Finding]:
         "surface than the start"
     )
     if _seeks_distance(result):
-        if worse > 1.0:
-            yield Finding(NO_GAIN, evidence, worse)
-        elif worse > -1.0:
-            yield Finding(NO_GAIN, evidence, 1.0)
+        if worse > -1.0:
+            yield Finding(NO_GAIN, evidence, max(worse, 1.0))
     elif result.optimum.candidate == result.start.candidate:
         yield Finding(NO_GAIN, "no plan is better than the start's", 1.0)
 
@@ -199,7 +197,5 @@ def _confirmed(result: SearchResult, confirmed: Sequence[ConfirmedPlan]) -> Iter
         )
         if not _seeks_distance(result):
             continue  # its aim is fewer images, which is sure; the study's limits say what they may cost
-        if worse > 1.0:
-            yield Finding(NOT_CONFIRMED, evidence, worse)
-        elif worse > -1.0:
-            yield Finding(NOT_CONFIRMED, evidence, 1.0)
+        if worse > -1.0:
+            yield Finding(NOT_CONFIRMED, evidence, max(worse, 1.0))

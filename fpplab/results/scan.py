@@ -159,12 +159,7 @@ def scan_result(
     report_file: Path | None = None,
 ) -> ScanResult:
     return ScanResult(
-        session=reconstruction.session,
-        calibration=reconstruction.calibration,
-        decoded=reconstruction.decoded,
-        cloud=reconstruction.cloud,
-        depth=reconstruction.depth,
-        diagnosis=reconstruction.diagnosis,
+        **vars(reconstruction),
         provenance=provenance,
         seconds=seconds,
         images=images,

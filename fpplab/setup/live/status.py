@@ -11,7 +11,7 @@ from fpplab.devices import CameraSettings
 from fpplab.diagnosis import Finding
 from fpplab.setup.live.exposure import ExposureAdvice, LightLevels
 from fpplab.setup.live.focus import FocusTracker
-from fpplab.setup.live.marks import MarksInView
+from fpplab.setup.live.measuring import MarksInView
 from fpplab.setup.live.patterns import View
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -220,10 +220,8 @@ class _FringeInspection:
         decoded = decode(recording, bounds=decoding_bounds(recording.plan, calibration, depth))
         cloud = None
         if decoded.valid.any():
-            try:
+            with suppress(DataError):  # the frames say why there is no point
                 decoded, cloud = points_of(decoded, calibration, recording.plan)
-            except DataError:  # the frames say why there is no point
-                cloud = None
         self.decoded, self.cloud = decoded, cloud
         return diagnose_scan(recording, decoded, cloud, calibration, self._plan)
 
