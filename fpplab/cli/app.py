@@ -194,14 +194,8 @@ SkippedImages = Annotated[
         metavar="NUMBERS",
     ),
 ]
-RigName = Annotated[
-    str,
-    config_option("rig", "Rig file, or the name of one that comes with fpplab."),
-]
-PlanName = Annotated[
-    str,
-    config_option("plan", "Plan file: what to project and capture."),
-]
+RigName = Annotated[str, config_option("rig", "Rig file, or the name of one that comes with fpplab.")]
+PlanName = Annotated[str, config_option("plan", "Plan file: what to project and capture.")]
 CalibrationOption = Annotated[Path, option("--calibration", "Written by `fpplab characterise`.")]
 LimitsOption = Annotated[
     Path | None, option("--limits", "File of an expert with other limits than the usual ones.")
