@@ -15,6 +15,18 @@ ONE_FRAME = (
     "one frame: in which direction the phase rises, which is taken to be along the camera's axis, and "
     "everything that only several images of a set show"
 )
+PLANE = "plane: that distance, baseline, period and plates are as stated, and that nothing moved between"
+
+
+def describe_heights(decoded: Decoded) -> str | None:
+    """Say how many heights there are, and how uncertain; None without a reference plane."""
+    if decoded.height_mm is None or decoded.sigma_height_mm is None:
+        return None
+    known = np.isfinite(decoded.height_mm)
+    if not known.any():
+        return "no pixel has a height over the plane"
+    sigma_um = 1e3 * float(np.median(decoded.sigma_height_mm[known]))
+    return f"{np.count_nonzero(known)} pixels have a height over the plane, with a sigma of {sigma_um:.3g} µm"
 
 
 def describe_resolution(decoded: Decoded) -> str | None:
@@ -48,4 +60,4 @@ def describe_unknown_orders(island: NDArray[np.int32]) -> str | None:
     text = f"{len(unknown)} of {islands}, with {share:.0%} of the pixels, have an unknown fringe order"
     if len(numbers) > 1:
         text += ", so that heights between them are unknown"
-    return f"{text}; narrow --depth, or name a point of each with --known"
+    return f"{text}; a narrower range of depths, or a point of each by --known, tells them"

@@ -18,7 +18,14 @@ from fpplab.diagnosis.detection import FRAME_STAGES, find_causes
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.diagnosis.finding import FaultCause, Finding
 from fpplab.diagnosis.geometry import GeometryCheck
-from fpplab.diagnosis.islands import INVISIBLE_STEP, ONE_FRAME, describe_resolution, describe_unknown_orders
+from fpplab.diagnosis.islands import (
+    INVISIBLE_STEP,
+    ONE_FRAME,
+    PLANE,
+    describe_heights,
+    describe_resolution,
+    describe_unknown_orders,
+)
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits, LimitsSection, ShareLimit
 from fpplab.diagnosis.plan.code_order import code_order_fault
 from fpplab.diagnosis.ranking import rank_findings
@@ -191,15 +198,23 @@ def diagnose_scan(
 
 
 def _with_islands(judged: Diagnosis, decoded: Decoded) -> Diagnosis:
-    """Say what neighbours could not tell where they unwrapped; such a result is unverified at best."""
-    if decoded.island is None:
+    """Say what neighbours and a plane could not tell; what they give is unverified at best."""
+    heights = describe_heights(decoded)
+    if decoded.island is None and heights is None:
         return judged
-    unknown = describe_unknown_orders(decoded.island)
-    reason = (
-        f"{unknown}; {judged.reason}" if unknown else f"{judged.reason}; neighbours told the fringe orders"
-    )
+    orders = None if decoded.island is None else describe_unknown_orders(decoded.island)
+    by_neighbours = "neighbours told the fringe orders" if decoded.island is not None and not orders else None
     verdict = Verdict.UNVERIFIED if judged.verdict is Verdict.GOOD else judged.verdict
-    return replace(judged, verdict=verdict, reason=reason, unknown=(*judged.unknown, INVISIBLE_STEP))
+    return replace(
+        judged,
+        verdict=verdict,
+        reason="; ".join(filter(None, (orders, heights, judged.reason, by_neighbours))),
+        unknown=(
+            *judged.unknown,
+            *((INVISIBLE_STEP,) * (decoded.island is not None)),
+            *((PLANE,) * (heights is not None)),
+        ),
+    )
 
 
 def _unknown(

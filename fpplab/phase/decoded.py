@@ -89,6 +89,9 @@ class Decoded:
     resolution_px : float or None
         Width of what one frame of fringes still shows, in camera px: its pixels share their neighbours'
         noise. None where every pixel is measured by itself. It is not saved.
+    height_mm, sigma_height_mm : ndarray of float32, (height, width), or None
+        Height over a reference plane with its 1-sigma, NaN where it is not measured or the fringe order is
+        unknown; None without such a plane.
     """
 
     u: Map
@@ -106,6 +109,8 @@ class Decoded:
     edges: EdgeBlur | None = None
     island: NDArray[np.int32] | None = None
     resolution_px: float | None = None
+    height_mm: Map | None = None
+    sigma_height_mm: Map | None = None
 
     def __repr__(self) -> str:
         height, width = self.sigma.shape
@@ -294,7 +299,15 @@ class Decoded:
 
 
 _KEYS = "u", "v", "modulation", "sigma"
-_OPTIONAL = "disagreement", "uncertain_order", "removed", "sigma_phase_error", "island"
+_OPTIONAL = (
+    "disagreement",
+    "uncertain_order",
+    "removed",
+    "sigma_phase_error",
+    "island",
+    "height_mm",
+    "sigma_height_mm",
+)
 
 
 def _write_npz(arrays: Mapping[str, NDArray[Any]], stream: BinaryIO) -> None:

@@ -391,6 +391,14 @@ class OneFrameLimits(NamedTuple):
     is usable."""
 
 
+class PlaneLimits(NamedTuple):
+    """Limits of heights over a reference plane."""
+
+    known_turns: float = 0.4
+    """How far the fringes on a plate may lie from where the stated geometry puts them, in periods. Chosen: up
+    to half a period its order is the nearest one."""
+
+
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
@@ -404,3 +412,4 @@ EDGES = EdgeLimits()
 CODES = CodeLimits()
 ISLANDS = IslandLimits()
 ONE_FRAME = OneFrameLimits()
+PLANE = PlaneLimits()

@@ -11,6 +11,7 @@ from fpplab.pipeline.characterising import (
 from fpplab.pipeline.checking import doubts_about_session
 from fpplab.pipeline.decoding import decode_session, parse_known, recording_and_fault
 from fpplab.pipeline.depth import check_plan, plan_with_depth
+from fpplab.pipeline.heights import decode_over_plane
 from fpplab.pipeline.marks import locate_session_marks
 from fpplab.pipeline.measuring import Reconstruction, finish_scan, reconstruct_points, reconstruct_session
 from fpplab.pipeline.response import measure_response
@@ -26,6 +27,7 @@ __all__ = [
     "check_disk_space",
     "check_plan",
     "correct_by_sessions",
+    "decode_over_plane",
     "decode_session",
     "doubts_about_session",
     "finish_scan",

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fpplab.diagnosis import Diagnosis
 from fpplab.diagnosis.islands import island_counts
 from fpplab.phase import Decoded
@@ -36,5 +38,7 @@ class DecodingResult:
 
     def _figures(self) -> dict[str, Any]:
         islands = island_counts(self.decoded)
-        figures = {"valid": int(self.decoded.valid.sum()), "seconds": self.seconds}
+        figures: dict[str, Any] = {"valid": int(self.decoded.valid.sum()), "seconds": self.seconds}
+        if self.decoded.height_mm is not None:
+            figures["heights"] = int(np.isfinite(self.decoded.height_mm).sum())
         return figures if islands is None else {**figures, "islands": islands}
