@@ -25,8 +25,8 @@ def _not_zero(value: float) -> float:
     return value
 
 
-Length = Annotated[float, Field(gt=0, le=1e6)]
-SignedLength = Annotated[float, Field(ge=-1e6, le=1e6), AfterValidator(_not_zero)]
+_Length = Annotated[float, Field(gt=0, le=1e6)]
+_SignedLength = Annotated[float, Field(ge=-1e6, le=1e6), AfterValidator(_not_zero)]
 
 
 class Plate(Document):
@@ -34,19 +34,19 @@ class Plate(Document):
 
     session: str
     """Folder of the session, next to the file or by path."""
-    height_mm: SignedLength
+    height_mm: _SignedLength
     """Height over the reference plane, towards the camera, in mm."""
 
 
 class PlaneGeometry(Document):
     """How camera and projector stand over a reference plane."""
 
-    distance_mm: Length
+    distance_mm: _Length
     """Distance of both devices' centres from the plane."""
-    baseline_mm: SignedLength
+    baseline_mm: _SignedLength
     """Distance between their centres across the fringes; negative where the projector's coordinate falls with
     the height."""
-    period_mm: Length
+    period_mm: _Length
     """Period of the fringes on the plane."""
     heights_mm: tuple[float, float] | None = None
     """Least and greatest height of everything that is seen, which tells orders of a single set of fringes."""
