@@ -1,13 +1,4 @@
-"""The four devices of a rig over one simulated world, see `sim.bench`.
-
-In a rig file::
-
-    bench:     {backend: virtual_bench, world: world_demo.yaml}
-    camera:    {backend: virtual_camera}
-    projector: {backend: virtual_projector}
-    stage:     {backend: virtual_stage}
-    fixture:   {backend: virtual_fixture}
-"""
+"""The four devices of a rig over one simulated world, see `sim.bench`."""
 
 from __future__ import annotations
 

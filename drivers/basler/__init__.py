@@ -1,8 +1,4 @@
-"""Driver of Basler cameras, through pylon.
-
-It has been tested on pylon's own camera emulator and on GenICam node maps, not on a real camera;
-docs/hardware.md lists what to check when one is first connected.
-"""
+"""Driver of Basler cameras, through pylon."""
 
 from __future__ import annotations
 

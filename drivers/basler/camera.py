@@ -1,16 +1,11 @@
-"""A Basler camera behind the interface of `fpplab.devices`.
-
-`drivers.basler.options` describes its section in a rig file. The driver is not specific to a model: the
-camera's GenICam node map is queried for the features that it has.
-"""
+"""A Basler camera behind the interface of `fpplab.devices`."""
 
 from __future__ import annotations
 
 import gc
 import logging
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,19 +16,12 @@ from drivers.basler.frames import SPARE_BUFFERS, BufferPool
 from drivers.basler.options import BaslerOptions
 from drivers.basler.transport import Pylon, lost_on_link
 from drivers.genicam import names as named
-from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera
+from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera, message_of
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
 from drivers.genicam.pixels import PACKED
 from fpplab.core import config
-from fpplab.core.errors import (
-    ConfigError,
-    DeviceError,
-    DeviceTimeoutError,
-    DisconnectedError,
-    FrameLossError,
-    StateError,
-)
+from fpplab.core.errors import ConfigError, DeviceError, DisconnectedError, FrameLossError
 from fpplab.core.files import write_text
 from fpplab.devices import DeviceInfo, Frame, State, Trigger
 
@@ -67,6 +55,8 @@ class BaslerCamera(GenicamCamera):
 
     FORMATS: ClassVar = {8: ("Mono8",), 12: ("Mono12", PACKED), 16: ("Mono16",)}
     RAW: ClassVar = named.RAW + BASLER_RAW
+    LIBRARY: ClassVar = "pylon"
+    LIBRARY_ERRORS: ClassVar = (genicam.GenericException,)
 
     _camera: Any = None
     _options: BaslerOptions
@@ -190,31 +180,17 @@ class BaslerCamera(GenicamCamera):
             with suppress(genicam.GenericException):  # the original fault is the one to report
                 self._camera.StopGrabbing()
 
-    @contextmanager
-    def _guard(self, operation: str) -> Iterator[None]:
-        """Translate pylon's exceptions into the device errors of fpplab."""
-        with super()._guard(operation):
-            try:
-                yield
-            except genicam.GenericException as error:
-                raise self._described(operation, error) from error
-
-    def _described(self, operation: str, error: genicam.GenericException) -> DeviceError:
-        message = str(error)
-        if any(phrase in message for phrase in IN_USE):
-            return StateError(self.name, operation, "another program has the camera open", "close it there")
-        if self._camera is not None and self._is_gone():
-            return self._disconnected(operation)
-        return DeviceError(
-            self.name, operation, f"pylon says: {_message(error)}", "close it and open it again"
-        )
+    def _is_in_use(self, error: Exception) -> bool:
+        return any(phrase in str(error) for phrase in IN_USE)
 
     def _load(self, text: str, path: Path) -> None:
         try:
             pylon.FeaturePersistence.LoadFromString(text, self._camera.GetNodeMap(), True)
         except genicam.GenericException as error:
             self._check_connected("load_features")
-            raise ConfigError(f"{path}: does not fit the camera '{self.name}': {_message(error)}") from error
+            raise ConfigError(
+                f"{path}: does not fit the camera '{self.name}': {message_of(error)}"
+            ) from error
 
     def _apply_options(self) -> None:
         super()._apply_options()
@@ -243,12 +219,7 @@ class BaslerCamera(GenicamCamera):
         while not self._camera.WaitForFrameTriggerReady(_slice_ms(deadline), pylon.TimeoutHandling_Return):
             self._check_connected(operation)
             if time.monotonic() >= deadline:
-                raise DeviceTimeoutError(
-                    self.name,
-                    operation,
-                    "the camera does not become ready for a trigger",
-                    "close it and open it again",
-                )
+                raise self._never_ready(operation)
 
     def _retrieve(self, deadline: float, timeout_s: float) -> Any:
         while True:
@@ -262,27 +233,17 @@ class BaslerCamera(GenicamCamera):
             if time.monotonic() >= deadline:
                 break
         self._check_connected("read")
-        cable = "check the trigger cable; 'fpplab check' tells whether the camera was not ready yet"
-        remedy = cable if self._trigger == "hardware" else "allow more time"
-        reason = f"no frame came within {timeout_s:g} s{self._lost()}"
-        raise DeviceTimeoutError(self.name, "read", reason, remedy)
+        raise self._no_frame(self._trigger, f"no frame came within {timeout_s:g} s{self._lost()}")
 
     def _index(self, block_id: int) -> int:
         """Return the frame's number since `arm`, by the camera's own count where it has one."""
         return self._taken if block_id == NO_BLOCK_ID else block_id - self._first_block
 
-    def _check_connected(self, operation: str) -> None:
-        if self._is_gone():
-            raise self._disconnected(operation)
-
     def _is_gone(self) -> bool:
+        if self._camera is None:
+            return False
         # pylon sometimes misses a removal, so the list of connected cameras is checked too.
         return self._camera.IsCameraDeviceRemoved() or self._options.serial not in self._transport.cameras()
-
-    def _disconnected(self, operation: str) -> DisconnectedError:
-        return DisconnectedError(
-            self.name, operation, "the camera was unplugged or switched off", "plug it in and open it again"
-        )
 
 
 class CameraAsLeft(BaslerCamera):
@@ -293,11 +254,6 @@ class CameraAsLeft(BaslerCamera):
 
     def _apply_options(self) -> None:
         """Leave the region of interest as it is."""
-
-
-def _message(error: genicam.GenericException) -> str:
-    """Return pylon's message without the exception's type and source location."""
-    return str(error).split(" : ")[0].strip()
 
 
 def _slice_ms(deadline: float) -> int:

@@ -1,7 +1,4 @@
-"""`fpplab camera save|load`: save the settings of a Basler camera to a file, and load them.
-
-Modules that load slowly are imported where they are used, so that `--help` answers at once.
-"""
+"""`fpplab camera save|load`: save the settings of a Basler camera to a file, and load them."""
 
 from __future__ import annotations
 

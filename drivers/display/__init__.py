@@ -1,7 +1,4 @@
-"""Driver of any projector with a display input: a second screen of this computer, or a projector over HDMI.
-
-`screen` is the process that draws through SDL, `window` its other end, `device` the projector of a rig.
-"""
+"""Driver of any projector with a display input, over HDMI or as a second screen."""
 
 from __future__ import annotations
 

@@ -1,13 +1,4 @@
-"""A projector with a display input as a projector of a rig: a second screen of the computer, shown 1:1.
-
-    projector:
-      backend: display
-      display: 1                # number or name, as `fpplab devices` shows it
-      size: [1920, 1080]        # the projector's own resolution
-      curve: srgb
-
-Tested with SDL's dummy display and a virtual X server only, not yet with a projector.
-"""
+"""A projector with a display input as a projector of a rig: a second screen of the computer, shown 1:1."""
 
 from __future__ import annotations
 

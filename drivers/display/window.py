@@ -1,7 +1,4 @@
-"""A display of this computer that holds one frame at a time: of a projector, or of its video port.
-
-Tested with SDL's dummy display and a virtual X server only, not yet with a projector.
-"""
+"""A display of this computer that holds one frame at a time: of a projector, or of its video port."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Driver of the DLP LightCrafter 4500 and its controller, the DLPC350, over USB HID.
-
-`framing` and `protocol` encode the packets as pure functions, `transport` matches replies to requests,
-`sequence` computes bit planes and timing, `controller` sends the commands, `device` is the projector of a
-rig.
-"""
+"""Driver of the DLP LightCrafter 4500 and its controller, the DLPC350, over USB HID."""
 
 from __future__ import annotations
 

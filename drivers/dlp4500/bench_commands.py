@@ -1,7 +1,4 @@
-"""`fpplab dlp4500 status|power|led|test-pattern`: control of the projector by hand.
-
-Tested on an emulated projector only.
-"""
+"""`fpplab dlp4500 status|power|led|test-pattern`: control of the projector by hand."""
 
 from __future__ import annotations
 

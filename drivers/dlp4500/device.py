@@ -1,13 +1,4 @@
-"""The LightCrafter 4500 as a projector of a rig, with its patterns in flash or from the video port.
-
-    projector:
-      backend: dlp4500
-      flash: flash_index.yaml              # or video: {display: 1}
-      led_levels: {red: 104, green: 135, blue: 130}
-      trigger_out_1: {rising_us: 0, falling_us: 0}
-
-Tested with an emulated controller only, not yet on a board.
-"""
+"""The LightCrafter 4500 as a projector of a rig, with its patterns in flash or from the video port."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""`fpplab dlp4500 build|upload`: patterns in the projector's flash.
-
-Modules that load slowly are imported where they are used, so that `--help` answers at once.
-"""
+"""`fpplab dlp4500 build|upload`: patterns in the projector's flash."""
 
 from __future__ import annotations
 

@@ -15,6 +15,10 @@ def _record(*fields: RegisterField) -> RegisterLayout:
     return RegisterLayout(fields)
 
 
+def _fields(*names_and_bits: tuple[str, int]) -> RegisterLayout:
+    return RegisterLayout(tuple(RegisterField(name, bits) for name, bits in names_and_bits))
+
+
 def _gap(bits: int) -> RegisterField:
     return RegisterField("", bits)
 
@@ -25,10 +29,6 @@ def _flag(name: str) -> RegisterLayout:
 
 def _bytes(*names: str) -> RegisterLayout:
     return RegisterLayout(tuple(RegisterField(name, 8) for name in names))
-
-
-def _words(*names: str) -> RegisterLayout:
-    return RegisterLayout(tuple(RegisterField(name, 16) for name in names))
 
 
 _TABLE: dict[int, Command] = {}
@@ -108,44 +108,29 @@ MAX_VARIABLE_ENTRIES, MAX_VARIABLE_IMAGES = 1824, 256
 HARDWARE_STATUS = _read_only(
     "hardware status",
     0x1A0A,
-    _record(
-        RegisterField("initialised", 1),
-        _gap(1),
-        RegisterField("reset_controller_error", 1),
-        RegisterField("forced_swap_error", 1),
-        _gap(2),
-        RegisterField("sequencer_aborted", 1),
-        RegisterField("sequencer_error", 1),
+    _fields(
+        ("initialised", 1),
+        ("", 1),
+        ("reset_controller_error", 1),
+        ("forced_swap_error", 1),
+        ("", 2),
+        ("sequencer_aborted", 1),
+        ("sequencer_error", 1),
     ),
 )
 SYSTEM_STATUS = _read_only("system status", 0x1A0B, _flag("memory_test_passed"))
 MAIN_STATUS = _read_only(
     "main status",
     0x1A0C,
-    _record(
-        RegisterField("parked", 1),
-        RegisterField("running", 1),
-        RegisterField("frozen", 1),
-        RegisterField("gamma", 1),
-        _gap(4),
-    ),
+    _fields(("parked", 1), ("running", 1), ("frozen", 1), ("gamma", 1), ("", 4)),
 )
+_VERSION_BITS = {"patch": 16, "minor": 8, "major": 8}
 PARTS = ("application", "api", "software_config", "sequence_config")
 """Parts of the firmware that have a version."""
 VERSION = _read_only(
     "version",
     0x0205,
-    RegisterLayout(
-        tuple(
-            field
-            for part in PARTS
-            for field in (
-                RegisterField(f"{part}_patch", 16),
-                RegisterField(f"{part}_minor", 8),
-                RegisterField(f"{part}_major", 8),
-            )
-        )
-    ),
+    _fields(*((f"{part}_{n}", bits) for part in PARTS for n, bits in _VERSION_BITS.items())),
 )
 FIRMWARE_TAG = _read_only("firmware tag", 0x1AFF, RawBytes(1, 32))
 IMAGES_IN_FLASH = _read_only("images in flash", 0x1A42, _bytes("count"))
@@ -175,13 +160,6 @@ CHANNEL_SWAP = _register(
 LONG_AXIS_FLIP = _register("long-axis flip", 0x1008, _flag("on"))
 SHORT_AXIS_FLIP = _register("short-axis flip", 0x1009, _flag("on"))
 FREEZE = _register("freeze buffer", 0x100A, _flag("on"))
-AREA = _register(
-    "input and display area",
-    0x1000,
-    _words(
-        *(f"{part}_{what}" for part in ("crop", "display") for what in ("pixel", "line", "pixels", "lines"))
-    ),
-)
 TEST_PATTERNS = (
     "solid",
     "horizontal-ramp",
@@ -217,25 +195,12 @@ TICKS_PER_MS = 18667  # unit of the image load time, as TI's client converts it
 VIDEO_SIGNAL = _read_only(
     "video signal",
     0x071C,
-    RegisterLayout(
-        (
-            RegisterField("lock", 2),
-            _gap(6),
-            RegisterField("horizontal_resolution", 16),
-            RegisterField("vertical_resolution", 16),
-            _gap(8),
-            RegisterField("horizontal_sync_polarity", 8),
-            RegisterField("vertical_sync_polarity", 8),
-            RegisterField("pixel_clock", 32),
-            RegisterField("horizontal_frequency", 16),
-            RegisterField("vertical_frequency", 16),
-            RegisterField("total_pixels", 16),
-            RegisterField("total_lines", 16),
-            RegisterField("active_pixels", 16),
-            RegisterField("active_lines", 16),
-            RegisterField("first_pixel", 16),
-            RegisterField("first_line", 16),
-        )
+    _fields(
+        *(("lock", 2), ("", 6), ("horizontal_resolution", 16), ("vertical_resolution", 16), ("", 8)),
+        *(("horizontal_sync_polarity", 8), ("vertical_sync_polarity", 8), ("pixel_clock", 32)),
+        *(("horizontal_frequency", 16), ("vertical_frequency", 16)),
+        *(("total_pixels", 16), ("total_lines", 16), ("active_pixels", 16), ("active_lines", 16)),
+        *(("first_pixel", 16), ("first_line", 16)),
     ),
 )
 LOCKED = 2  # value of `lock` in the video signal for a stable signal (TI's client)
@@ -251,10 +216,6 @@ LED_ENABLE = _register(
 )
 LED_CURRENT = _register("LED current", 0x0B01, _bytes(*COLOURS))
 LED_POLARITY = _register("LED polarity", 0x1A05, _flag("inverted"))
-LED_DELAYS = {
-    colour: _register(f"{colour} LED delays", 0x1A1F + i, _bytes("rising", "falling"))
-    for i, colour in enumerate(COLOURS)
-}
 
 # --- triggers
 
@@ -338,14 +299,14 @@ VARIABLE_DATA = _register(
     0x1A3E,
     _record(*_ENTRY_BITS, _gap(8), RegisterField("exposure_us", 32), RegisterField("period_us", 32)),
 )
-VALIDATION = _record(
-    RegisterField("exposure_invalid", 1),
-    RegisterField("pattern_invalid", 1),
-    RegisterField("trigger_overlap", 1),
-    RegisterField("black_missing", 1),
-    RegisterField("gap_too_short", 1),
-    _gap(2),
-    RegisterField("busy", 1),
+VALIDATION = _fields(
+    ("exposure_invalid", 1),
+    ("pattern_invalid", 1),
+    ("trigger_overlap", 1),
+    ("black_missing", 1),
+    ("gap_too_short", 1),
+    ("", 2),
+    ("busy", 1),
 )
 VALIDATE = _declare(Command("validation", 0x1A1A, _record(_gap(8)), VALIDATION))
 

@@ -1,17 +1,9 @@
 """The emulated bench: the real drivers connected to emulators, with another rig in place of the optics.
 
-    bench:     {backend: emulated_bench, optics: rig_demo.yaml}
-    camera:    {backend: basler, serial: "0815-0000", roi: [0, 0, 1368, 912]}
-    projector: {backend: dlp4500, video: {display: 0}}
-    stage:     {backend: grbl}
-    fixture:   {backend: emulated_fixture}
-
 The emulated projector determines which pattern illuminates the scene, its trigger output 1 triggers the
 emulated camera on Line1, and the rig given as `optics` (a simulation, for instance) renders the image. The
 bench's time passes only while a driver waits for something, so that timing does not depend on the
-computer's load.
-
-It tests the drivers, not a real board or camera.
+computer's load. `configs/rig_emulated.yaml` is one. It tests the drivers, not a real board or camera.
 """
 
 from __future__ import annotations

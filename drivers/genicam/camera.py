@@ -1,11 +1,10 @@
-"""A camera with a GenICam node map behind the interface of `fpplab.devices`: all but its frames.
-
-It is not specific to a model: the node map is queried for the features that it has. A driver opens the
-camera, sets `_features`, `_gain` and `_options`, calls `_set_up`, and takes the frames.
-"""
+"""A camera with a GenICam node map behind the interface of `fpplab.devices`: all but its frames."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import ClassVar
 
 from drivers.genicam import names as named
@@ -14,23 +13,75 @@ from drivers.genicam.gain import CameraGain
 from drivers.genicam.names import US_PER_S
 from drivers.genicam.options import EDGES, SHUTTERS, GenicamOptions, TriggerLine
 from drivers.genicam.pixels import PACKED
-from fpplab.core.errors import CapabilityError, SettingError
+from fpplab.core.errors import (
+    CapabilityError,
+    DeviceError,
+    DeviceTimeoutError,
+    DisconnectedError,
+    SettingError,
+    StateError,
+)
 from fpplab.devices import Camera, CameraCaps, CameraSettings, Trigger
 
 READY_TIMEOUT_S = 5.0  # longest wait in s for a camera that reports when it is ready for a trigger (chosen)
 
 
 class GenicamCamera(Camera):
-    """What GenICam cameras have in common; see the module."""
+    """A driver opens the camera, sets `_features`, `_gain` and `_options`, and calls `_set_up`."""
 
     FORMATS: ClassVar[dict[int, tuple[str, ...]]]
     """GenICam pixel formats by bit depth, the preferred one first; a driver states those that it decodes."""
     RAW: ClassVar[named.RawSettings] = named.RAW
     """Settings for raw frames; a maker's driver adds its own."""
+    LIBRARY: ClassVar[str]
+    LIBRARY_ERRORS: ClassVar[tuple[type[Exception], ...]]
+    """The library that gives the node map, and its exceptions, which become device errors."""
 
     _features: Features
     _gain: CameraGain
     _options: GenicamOptions
+
+    @abstractmethod
+    def _is_gone(self) -> bool:
+        """Whether the camera was open and is no longer connected."""
+
+    @abstractmethod
+    def _is_in_use(self, error: Exception) -> bool:
+        """Whether an exception says that another program has the camera open."""
+
+    @contextmanager
+    def _guard(self, operation: str) -> Iterator[None]:
+        """Translate the library's exceptions into the device errors of fpplab."""
+        with super()._guard(operation):
+            try:
+                yield
+            except self.LIBRARY_ERRORS as error:
+                raise self._described(operation, error) from error
+
+    def _described(self, operation: str, error: Exception) -> DeviceError:
+        if self._is_in_use(error):
+            return StateError(self.name, operation, "another program has the camera open", "close it there")
+        if self._is_gone():
+            return self._disconnected(operation)
+        found = f"{self.LIBRARY} says: {message_of(error)}"
+        return DeviceError(self.name, operation, found, "close it and open it again")
+
+    def _check_connected(self, operation: str) -> None:
+        if self._is_gone():
+            raise self._disconnected(operation)
+
+    def _disconnected(self, operation: str) -> DisconnectedError:
+        found = "the camera was unplugged or switched off"
+        return DisconnectedError(self.name, operation, found, "plug it in and open it again")
+
+    def _never_ready(self, operation: str) -> DeviceTimeoutError:
+        found = "the camera does not become ready for a trigger"
+        return DeviceTimeoutError(self.name, operation, found, "close it and open it again")
+
+    def _no_frame(self, trigger: Trigger, reason: str) -> DeviceTimeoutError:
+        cable = "check the trigger cable; 'fpplab check' tells whether the camera was not ready yet"
+        remedy = cable if trigger == "hardware" else "allow more time"
+        return DeviceTimeoutError(self.name, "read", reason, remedy)
 
     def _set_up(self) -> None:
         """Make the camera raw, apply the rig file's options, and read what it can do."""
@@ -74,11 +125,8 @@ class GenicamCamera(Camera):
         write = self._features.write
         write(named.OFFSET_X, 0, "open")
         write(named.OFFSET_Y, 0, "open")
-        sensor_size = (
-            int(self._features.limits(named.WIDTH)[1]),
-            int(self._features.limits(named.HEIGHT)[1]),
-        )
-        x, y, width, height = roi or (0, 0, *sensor_size)
+        whole = (int(self._features.limits(side)[1]) for side in (named.WIDTH, named.HEIGHT))
+        x, y, width, height = roi or (0, 0, *whole)
         write(named.WIDTH, width, "open")
         write(named.HEIGHT, height, "open")
         write(named.OFFSET_X, x, "open")
@@ -169,3 +217,8 @@ class GenicamCamera(Camera):
         features.ensure(named.LINE_INVERTER, False, "arm")
         if line.debounce_us or features.has(named.LINE_DEBOUNCER_US):
             features.write(named.LINE_DEBOUNCER_US, line.debounce_us, "arm", tolerance=1.0)
+
+
+def message_of(error: Exception) -> str:
+    """Return a message of GenApi without the exception's type and source location."""
+    return str(error).split(" : ")[0].strip()

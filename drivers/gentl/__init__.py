@@ -1,8 +1,4 @@
-"""Driver of any GenICam camera through a GenTL producer, the .cti file of the maker's software.
-
-It has been tested on a producer without a sensor and on GenICam node maps, not on a real camera;
-docs/hardware.md lists what to check when one is first connected.
-"""
+"""Driver of any GenICam camera through a GenTL producer, the .cti file of the maker's software."""
 
 from __future__ import annotations
 

@@ -7,8 +7,7 @@ be set, `TriggerSelector` with `FrameStart`, and monochrome pixels.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any, ClassVar
 
 from genicam import genapi, gentl
@@ -21,26 +20,20 @@ from drivers.genicam.pixels import PACKED
 from drivers.gentl.options import GentlOptions
 from drivers.gentl.producer import SPARE_BUFFERS, GentlFrame, GentlProducer
 from fpplab.core import config
-from fpplab.core.errors import (
-    CapabilityError,
-    DeviceError,
-    DeviceTimeoutError,
-    DisconnectedError,
-    FrameLossError,
-    StateError,
-)
+from fpplab.core.errors import CapabilityError, DisconnectedError, FrameLossError
 from fpplab.devices import CameraCaps, DeviceInfo, Frame, Trigger
 
 READY_S = 0.1  # time in s after which a camera that does not report readiness counts as ready (chosen)
 WAITING = "FrameTriggerWait"
 """Value of the selector of `AcquisitionStatus` by which a camera reports that it waits for a trigger."""
-GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
 
 
 class GentlCamera(GenicamCamera):
     """A camera that a GenTL producer lists; an emulated bench may be the producer by its `gentl`."""
 
     FORMATS: ClassVar = {8: ("Mono8",), 10: ("Mono10",), 12: ("Mono12", PACKED), 16: ("Mono16",)}
+    LIBRARY: ClassVar = "GenICam"
+    LIBRARY_ERRORS: ClassVar = (genapi.GenericException, gentl.GenericException)
 
     _options: GentlOptions
     _producer: Any = None
@@ -118,9 +111,7 @@ class GentlCamera(GenicamCamera):
         host_time_s = time.time()
         if frame is None:
             self._check_connected("read")
-            cable = "check the trigger cable; 'fpplab check' tells whether the camera was not ready yet"
-            remedy = cable if self._trigger == "hardware" else "allow more time"
-            raise DeviceTimeoutError(self.name, "read", f"no frame came within {timeout_s:g} s", remedy)
+            raise self._no_frame(self._trigger, f"no frame came within {timeout_s:g} s")
         if self._first is None:
             self._first = frame.number
         settings = self._configured("read")
@@ -140,7 +131,7 @@ class GentlCamera(GenicamCamera):
         """Disarm the camera at once, so that a late frame is not taken for the next one."""
         super()._fault()
         if self._end is not None:
-            with suppress(*GENICAM_ERRORS):  # the original fault is the one to report
+            with suppress(*self.LIBRARY_ERRORS):  # the original fault is the one to report
                 self._end.stop()
 
     def _await_ready(self, operation: str) -> None:
@@ -153,42 +144,16 @@ class GentlCamera(GenicamCamera):
         deadline = time.monotonic() + READY_TIMEOUT_S
         while not features.read(named.STATUS):
             if time.monotonic() >= deadline:
-                raise DeviceTimeoutError(
-                    self.name,
-                    operation,
-                    "the camera does not become ready for a trigger",
-                    "close it and open it again",
-                )
+                raise self._never_ready(operation)
             time.sleep(0.001)
 
-    @contextmanager
-    def _guard(self, operation: str) -> Iterator[None]:
-        """Translate GenICam's exceptions into the device errors of fpplab."""
-        with super()._guard(operation):
-            try:
-                yield
-            except GENICAM_ERRORS as error:
-                raise self._described(operation, error) from error
-
-    def _described(self, operation: str, error: Exception) -> DeviceError:
-        if isinstance(error, gentl.ResourceInUseException | gentl.AccessDeniedException):
-            return StateError(self.name, operation, "another program has the camera open", "close it there")
-        if self._end is not None and self._is_gone():
-            return self._disconnected(operation)
-        message = str(error).split(" : ")[0].strip()
-        return DeviceError(self.name, operation, f"GenICam says: {message}", "close it and open it again")
-
-    def _check_connected(self, operation: str) -> None:
-        if self._is_gone():
-            raise self._disconnected(operation)
+    def _is_in_use(self, error: Exception) -> bool:
+        return isinstance(error, gentl.ResourceInUseException | gentl.AccessDeniedException)
 
     def _is_gone(self) -> bool:
+        if self._end is None:
+            return False
         try:
             return self._options.serial not in self._producer.cameras()
-        except GENICAM_ERRORS:
+        except self.LIBRARY_ERRORS:
             return True
-
-    def _disconnected(self, operation: str) -> DisconnectedError:
-        return DisconnectedError(
-            self.name, operation, "the camera was unplugged or switched off", "plug it in and open it again"
-        )

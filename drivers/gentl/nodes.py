@@ -20,11 +20,7 @@ class MissingNode:
     def IsValid(self) -> bool:
         return False
 
-    def IsReadable(self) -> bool:
-        return False
-
-    def IsWritable(self) -> bool:
-        return False
+    IsReadable = IsWritable = IsValid
 
 
 class SwitchNode:

@@ -1,17 +1,12 @@
 """A linear stage behind a GRBL 1.1 controller.
 
-stage: {backend: grbl, port: /dev/ttyACM0, axis: X}
-
 The stage's zero is the position where homing ends, and its coordinate increases away from the home switch,
 whichever way the controller's own axis points. Moves use machine coordinates (G53), so that a work offset
 left by another program has no effect.
 
 GRBL counts the steps that it sends and has no position encoder: it cannot know that a motor has stalled or
 slipped. What it can detect is reported: alarms and restarts, a move that ends at another position, a stage
-that was moved by something else, and a home switch that is pressed where it should be free. For the rest,
-home again and check whether the measurement repeats.
-
-Tested on an emulated controller over a pseudo-terminal only.
+that was moved by something else, and a home switch that is pressed where it should be free.
 """
 
 from __future__ import annotations

@@ -1,14 +1,4 @@
-"""The section of a video camera in a rig file.
-
-camera:
-  backend: video_camera
-  device: /dev/v4l/by-id/usb-Maker_Camera-video-index0
-  bits: 12
-  size: [1920, 1080]                                # by default as it is
-  shutter: global                                   # default: rolling
-  raw_gain: {db_per_step: 0.1}                      # unit of its gain, see its manual
-  latency_s: 0.0                                    # delay of its frames
-"""
+"""The section of a video camera in a rig file; docs/hardware.md shows an example."""
 
 from __future__ import annotations
 
@@ -23,7 +13,7 @@ PositiveCount = Annotated[int, Field(ge=1)]
 
 
 class VideoOptions(Document):
-    """The camera's section in a rig file; the module shows an example."""
+    """The camera's section in a rig file."""
 
     device: str
     """Device file; a link of /dev/v4l/by-id does not change when other cameras are plugged in."""

@@ -1,7 +1,4 @@
-"""Guide through a characterisation: which pose next, whether one fits the others, and what is known by now.
-
-Knows observations only: who holds the board, and how frames are taken, is not its concern.
-"""
+"""Guide through a characterisation: which pose next, whether one fits the others, what is known by now."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""`fpplab twin extension|describe|record|export`: simulated rigs in Blender.
-
-Modules that load slowly are imported where they are used, so that `--help` answers at once.
-"""
+"""`fpplab twin extension|describe|record|export`: simulated rigs in Blender."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Record of the epochs of a matching: a file of one JSON line each, from which an interrupted one continues.
-
-A line holds the step, whether it was accepted, the loss with its parts, and all parameters.
-"""
+"""Record of the epochs of a matching: one JSON line each, from which an interrupted one continues."""
 
 from __future__ import annotations
 

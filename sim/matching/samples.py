@@ -1,7 +1,4 @@
-"""Samples of the bench's recordings, to which the twin's light is fitted: pixels of the board's images.
-
-Another kind, the contrast of fringes on parts, is in `sim.matching.light.contrast`.
-"""
+"""Samples of the bench's recordings, to which the twin's light is fitted: pixels of the board's images."""
 
 from __future__ import annotations
 

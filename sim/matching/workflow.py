@@ -1,7 +1,4 @@
-"""What `fpplab match` does: match a twin to a bench, or surfaces of parts on a twin that is matched.
-
-A workflow is a function of a request; it leaves the matched twin with its record and report in a folder.
-"""
+"""What `fpplab match` does: match a twin to a bench, or surfaces of parts on a twin that is matched."""
 
 from __future__ import annotations
 

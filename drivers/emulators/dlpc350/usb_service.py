@@ -1,7 +1,4 @@
-"""An emulated LightCrafter on this computer's USB, to learn its commands or to try a rig file.
-
-It reports on stderr what the projector does.
-"""
+"""An emulated LightCrafter on this computer's USB, to learn its commands or to try a rig file."""
 
 from __future__ import annotations
 

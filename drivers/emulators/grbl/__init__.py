@@ -1,13 +1,7 @@
 """Software emulator of a GRBL 1.1 controller with one motorised rail, in place of a stage.
 
-It follows GRBL's interface documentation and source in what the stage's driver relies on: one answer to
-each line, the real-time commands `?`, `!` and reset, reports, settings, homing, limits and alarms. It
-understands the lines that the driver sends and no others. Motion takes time, by a clock of the caller's
-choice.
-
-It serves to test drivers and is no evidence of how a real stage behaves.
-
-Source: GRBL 1.1, github.com/gnea/grbl.
+It follows GRBL's documentation and source (github.com/gnea/grbl) in what the stage's driver relies on, and
+understands the lines that the driver sends and no others. It is no evidence of how a real stage behaves.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""The Blender extension: a simulated rig in the scene, its scans, its clouds, and twins of real benches.
-
-Blender's own Python lacks fpplab, which is started in a process of its own, by the interpreter that the
-preferences name. `sim.extension` makes the archive that Blender installs.
-"""
+"""The Blender extension: a simulated rig in the scene, its scans, its clouds, and twins of real benches."""
 
 from __future__ import annotations
 
