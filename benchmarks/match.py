@@ -33,7 +33,7 @@ from fpplab.pipeline import measure_response, take_or_resume_session, take_poses
 from fpplab.sessions.session import Session, recorded_sessions
 from fpplab.targets import Target
 from sim.matching.match import MatchingLimits
-from sim.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
+from sim.matching.run import MatchingListener, MatchingRequest, MatchingResult, match_sessions, twin_of
 from sim.parameters import TwinParameters, white_level_per_s
 from sim.twin import Twin
 from sim.world import World
@@ -138,7 +138,7 @@ def match_figures(folder: Path, trial: MatchBenchmarkSetup = FULL) -> list[Resul
 def _matched(twin: Twin, sessions: Sequence[Session], out: Path, wanted: MatchingRequest) -> MatchingResult:
     shutil.rmtree(out, ignore_errors=True)  # an earlier matching would go on
     with console.progress(f"Matching {out.name}") as report:
-        return match_sessions(twin, sessions, twin.target, out, wanted, progress=report)
+        return match_sessions(twin, sessions, twin.target, out, wanted, MatchingListener(report))
 
 
 def truth_of(bench: Rig, nominal: World) -> TwinParameters:

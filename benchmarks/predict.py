@@ -35,7 +35,7 @@ from sim.effects.room_lamp import ROOM_LAMP
 from sim.matching.judging.measured import measured_figures
 from sim.matching.match import MatchingLimits
 from sim.matching.record import MatchingEpoch
-from sim.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
+from sim.matching.run import MatchingListener, MatchingRequest, MatchingResult, match_sessions, twin_of
 from sim.parameters import ADJUSTABLE, TwinParameters
 from sim.prediction import MeasuredFigures, Prediction, predict
 
@@ -205,7 +205,9 @@ def matched(
     with Rig.load(folder / "nominal" / "rig.yaml") as rig, console.progress("Matching") as report:
         twin = twin_of(rig, BOARD)
         ordered = recorded_sessions([session.path for session in sessions])
-        return match_sessions(twin, ordered, twin.target, folder / "matched", wanted, progress=report)
+        return match_sessions(
+            twin, ordered, twin.target, folder / "matched", wanted, MatchingListener(report)
+        )
 
 
 def predictions(rig: Path, questions: Sequence[Question]) -> dict[str, Prediction]:

@@ -48,7 +48,7 @@ from fpplab.sessions.session import Session
 from sim.matching.evaluation import pose_similarity
 from sim.matching.match import MatchingLimits
 from sim.matching.reference import Reference
-from sim.matching.run import MatchingRequest, match_sessions, twin_of
+from sim.matching.run import MatchingListener, MatchingRequest, match_sessions, twin_of
 from sim.twin import Twin
 
 POSES = tuple(f"calseq{k}" for k in range(1, 6))
@@ -144,7 +144,8 @@ def _judged(folder: Path, others: Sequence[Session], held: Session) -> LeftOutPo
     with Rig.load(RIG) as rig:
         nominal = twin_of(rig, "board")
         request = MatchingRequest(limits=LIMITS)
-        matching = match_sessions(nominal, others, nominal.target, folder, request, tell=console.log_status)
+        listener = MatchingListener(tell=console.log_status)
+        matching = match_sessions(nominal, others, nominal.target, folder, request, listener)
     bench, own = matching.reference.characterisation, matching.final.characterisation
     assert own is not None
     reference = Reference((held,), matching.reference.target, bench)

@@ -164,7 +164,6 @@ class VirtualBench:
         return ImagePartSampler(world, self.light if world is self.world else self._light_of(world))
 
     def studio(self) -> SimStudio:
-        """Make a studio that arranges scenes for data sets."""
         return SimStudio(self)
 
     def irradiance(self, settings: CameraSettings, frame: int) -> PatternLevels:

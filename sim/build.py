@@ -40,9 +40,7 @@ def build_scene(
     surfaces = _mounted(world, setup)
     if around:
         surfaces = (*surfaces, *_frame_surfaces(world, setup), *around)
-    return _build_scene_around(
-        world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces])
-    )
+    return _build_scene_around(world, setup, surfaces)
 
 
 def build_background(
@@ -51,9 +49,7 @@ def build_background(
     """Build the scene in which all that stands still is seen behind the mounted item and in its shadow."""
     at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
     surfaces = (*around, *_frame_surfaces(world, at_rest), *_mounted(world, at_rest))
-    return _build_scene_around(
-        world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces])
-    )
+    return _build_scene_around(world, setup, surfaces)
 
 
 def _mounted(world: World, setup: SceneState) -> tuple[Surface, ...]:
@@ -71,9 +67,10 @@ def _pose(world: World, setup: SceneState) -> RigidTransform:
 
 
 def _build_scene_around(
-    world: World, setup: SceneState, surfaces: tuple[Surface, ...], enclosed_points: Floats
+    world: World, setup: SceneState, surfaces: tuple[Surface, ...]
 ) -> tuple[RenderScene, MirrorTexture]:
-    """Build a scene whose window and textures suffice for points (N, 3) in the camera's frame."""
+    """Build a scene whose window and textures suffice for its surfaces."""
+    enclosed_points = np.concatenate([_bounding_box(surface) for surface in surfaces])
     camera = world.camera_model()
     aperture = Aperture(world.camera.aperture_mm, world.camera.focus_mm or 1.0)
     lamp, texture = _build_lamp(world, setup.T_projector_camera(world), enclosed_points)

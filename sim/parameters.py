@@ -26,7 +26,7 @@ from sim.parameter_entry import FitRange, ParameterEntry, SubstituteNumber, tabl
 from sim.part_surface import PartSurface
 from sim.sensor import SensorModel
 from sim.world import World
-from sim.world.surface import with_surface
+from sim.world.materials.base import with_surface
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -244,7 +244,6 @@ ADJUSTABLE: dict[str, AdjustableParameter] = {
 
 
 def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
-    """Read the parameters that can be matched from a world."""
     response = world.projector.response
     brightest = response.a + response.b
     calibration = Calibration(
@@ -349,7 +348,6 @@ def white_level_per_s(world: World) -> float:
 
 
 def _with_light(world: World, factor: float) -> World:
-    """Make the same world with `factor` times the light."""
     leds = {
         name: led.model_copy(update={"lumens": factor * led.lumens})
         for name, led in world.projector.leds.items()

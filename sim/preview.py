@@ -51,18 +51,20 @@ class Arrangement:
         return Plan(fringes=sets, exposure_s=self.exposure_s)
 
 
-def require_simulated(rig: Rig) -> None:
-    """Refuse a rig of real or emulated devices, before any of them is opened."""
+def load_simulated_rig(path: str) -> Rig:
+    """Load a rig, but refuse one of real or emulated devices before any of them is opened."""
+    rig = Rig.load(path)
     bench = rig.file.bench
     if bench is None or not issubclass(load_backend(bench.backend, rig.source, "bench"), VirtualBench):
         raise ConfigError(
             f"{rig.source}: is not simulated, so there is no scene to show; match a twin to it "
             "(`fpplab match`) and name the twin's rig.yaml"
         )
+    return rig
 
 
 def bench_of_rig(rig: Rig) -> VirtualBench:
-    assert isinstance(rig.simulation, VirtualBench), "see require_simulated"
+    assert isinstance(rig.simulation, VirtualBench), "see load_simulated_rig"
     return rig.simulation
 
 
@@ -89,7 +91,6 @@ def make_preview(rig: Rig, arrangement: Arrangement, step: int = 0) -> Preview:
 
 
 def save_preview(rig: Rig, arrangement: Arrangement, step: int, path: Path) -> None:
-    """Write what `make_preview` describes."""
     preview = make_preview(rig, arrangement, step)
     write_atomic(path, lambda stream: write_preview(preview, stream))
 

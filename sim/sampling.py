@@ -22,7 +22,7 @@ from sim.light.cache import ByteLimitedCache
 from sim.part_surface import PartSurface
 from sim.sensor import SensorModel
 from sim.world import World
-from sim.world.surface import surface_of
+from sim.world.materials.base import surface_of
 
 
 @dataclass(frozen=True, eq=False)

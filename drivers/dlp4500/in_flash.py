@@ -86,7 +86,6 @@ class InFlash:
         self._slots = slots
 
     def show(self, board: Controller, i: int) -> None:
-        """Show one pattern until the next command."""
         slot = self._slots[i]
         with board.dark_on_failure():
             board.run(still_program(slot, MIN_EXPOSURE_US[slot.bits], self._leds))

@@ -42,17 +42,14 @@ class OnVideo:
 
     @property
     def longest_us(self) -> int:
-        """Period of the video frames, in which a pattern has to fit."""
         return self._frame_us
 
     @property
     def gap_us(self) -> int:
-        """None: the next pattern is started when it is due."""
         return 0
 
     @property
     def dark_between(self) -> bool:
-        """The video port has no dark time between patterns."""
         return False
 
     @property
@@ -62,7 +59,6 @@ class OnVideo:
 
     @property
     def still_us(self) -> int:
-        """Period of the video frames, in each of which a still pattern is shown once."""
         return self._frame_us
 
     def open(self, board: Controller) -> None:

@@ -206,7 +206,6 @@ def shortest_period_us(exposure_us: int, min_us: int = 0) -> int:
 
 
 def check_sequence(program: Program) -> None:
-    """Check that the controller can show a sequence as intended."""
     entries, exposure, period = program.entries, program.exposure_us, program.period_us
     if not 1 <= len(entries) <= MAX_VARIABLE_ENTRIES:
         raise ValueError(f"{len(entries)} patterns: 1 to {MAX_VARIABLE_ENTRIES}")

@@ -59,7 +59,6 @@ def load_hidapi(name: str) -> HidModule:
 
 
 def connect(hid: HidModule, name: str, serial: str | None) -> tuple[HidDevice, str]:
-    """Open a LightCrafter 4500."""
     interfaces = [
         (d["path"], d["serial_number"] or "")
         for d in hid.enumerate(VENDOR, PRODUCT)

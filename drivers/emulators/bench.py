@@ -71,7 +71,6 @@ class BenchFaults(Document):
     """Number of exposures after which the camera's cable is unplugged."""
 
     def reply_faults(self) -> dict[int, UsbFault]:
-        """Return the faults of the projector's replies."""
         faults = dict.fromkeys(self.dropped, UsbFault.DROP) | dict.fromkeys(self.late, UsbFault.LATE)
         if self.unplug_projector is not None:
             faults[self.unplug_projector] = UsbFault.UNPLUG_BEFORE

@@ -73,7 +73,6 @@ class EmulatedPylon(Pylon):
         self.plug_in()
 
     def close(self) -> None:
-        """Switch the emulation off and remove its files."""
         self._folder.cleanup()
         if self._before is None:
             os.environ.pop(CAMERA_COUNT_VARIABLE, None)

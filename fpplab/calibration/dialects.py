@@ -115,7 +115,6 @@ def is_own(path: Path) -> bool:
 
 
 def read_foreign(path: Path) -> ForeignFile:
-    """Read what a file of another program says."""
     with naming_other_kinds(path, "foreign calibration"):
         return _read_foreign(path)
 

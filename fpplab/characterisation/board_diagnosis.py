@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fpplab.characterisation.descriptions import similar_descriptions
 from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
-from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.observation import Observation, similar_descriptions
 from fpplab.characterisation.parameters import ImageSize
 from fpplab.characterisation.zhang import calibrate_by_zhang, rms
 from fpplab.core.errors import CalibrationError

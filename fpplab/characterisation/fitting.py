@@ -178,7 +178,6 @@ def model_of(
     refined: bool = True,
     limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> Model:
-    """State what is fitted to poses of a board."""
     # image_sizes (width, height) px
     tolerance = target.scale_tolerance
     scale = DEFAULT_SCALE_TOLERANCE if tolerance is None else tolerance

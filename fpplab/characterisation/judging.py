@@ -222,7 +222,6 @@ class CalibrationAsFitted:
         return replace(self, devices=devices)
 
     def problem(self, observation: Observation, pose: Floats) -> tuple[Problem, Solution]:
-        """One pose by itself."""
         at = replace(self.devices, poses=pose[None])
         sizes = ErrorSizes(self.errors.camera_px, self.errors.projector_px, 0.0, 0.0)
         return Problem((observation,), Model(self.level, at.board), sizes, at), at

@@ -22,8 +22,7 @@ from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.characterisation.correction import estimate_change, with_parameters
 from fpplab.characterisation.judging import CalibrationAsFitted, Judgement, judge_as_fitted
 from fpplab.characterisation.limits import USUAL_LIMITS
-from fpplab.characterisation.local_fits import coordinates_at_points
-from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.observation import Observation, coordinates_at_points
 from fpplab.characterisation.parameters import parameter_names
 from fpplab.core import config
 from fpplab.core.conventions import Floats

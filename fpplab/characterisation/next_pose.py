@@ -63,7 +63,6 @@ class Design:
 
     @classmethod
     def of(cls, estimate: JointEstimate, volume: WorkingVolume) -> Design:
-        """Collect what the poses so far contribute."""
         thin = _thin_board_points(estimate)
         problem = Problem(thin.observations, thin.model, thin.sizes, thin.solution)
         vector, best = problem.pack(thin.solution), thin.solution

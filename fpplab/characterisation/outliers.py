@@ -41,7 +41,6 @@ def reject_points(
     rejectable: list[int],
     limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> tuple[list[Observation], list[Rejected]]:
-    """Reject points that lie wrong in either device."""
     # The threshold is relative to each device's own robust standard deviation over all poses.
     residuals = [
         [np.nan_to_num(r) for r in solution.residuals(i, o)] for i, o in enumerate(observations)

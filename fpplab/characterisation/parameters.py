@@ -165,7 +165,6 @@ def project_with_derivatives(points: Floats, pose: Floats, intrinsics: Floats) -
 
 
 def compose_with_derivatives(pose: Floats, pair: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
-    """Compose two rigid transforms, with derivatives."""
     # pose (6,) rad; pair (6,); returns chained (6,), slopes (6, 6)
     out = cv2.composeRT(pose[:3], pose[3:], pair[:3], pair[3:])
     rotation, translation, r_r1, r_t1, r_r2, r_t2, t_r1, t_t1, t_r2, t_t2 = out

@@ -236,7 +236,6 @@ class Problem:
         return np.asarray((vector[index] - means) / sigmas)
 
     def normal_equations(self, vector: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:
-        """Build the normal equations of the residuals r with derivatives J."""
         # vector (n,); returns matrix (n, n), gradient (n,)
         solution = self.unpack(vector)
         matrix, gradient = np.zeros((len(vector), len(vector))), np.zeros(len(vector))

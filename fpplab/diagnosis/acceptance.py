@@ -24,7 +24,6 @@ from fpplab.diagnosis.verdict import Diagnosis, diagnosis_of
 
 
 def diagnose_acceptance(acceptance: Acceptance, limits: DiagnosisLimits = USUAL_LIMITS) -> Diagnosis:
-    """Judge a measuring system by its acceptance test."""
     # An error that is not permitted, and too few positions, make it doubtful. An error of ten times what is
     # permitted, or lengths that are wrong by 1 % throughout, make it useless.
     judged, test_limits = acceptance.judgements(), limits.of(AcceptanceTestLimits)

@@ -38,7 +38,6 @@ def sample_extent(sample: FrameSample) -> tuple[float, float, float, float]:
 def draw_sample_map(
     values: Floats, sample: FrameSample, colours: str, limits: tuple[float, float], label: str
 ) -> Figure:
-    """Draw values of the pixels spread over the image."""
     figure, axes = map_axes(values.shape)
     colour_bar(figure, axes, draw_map(axes, values, colours, limits, sample_extent(sample)), label)
     return figure

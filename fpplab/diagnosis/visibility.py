@@ -46,7 +46,6 @@ class Visibility:
 
 
 def visibility(sample: FrameSample) -> Visibility:
-    """Measure how clearly frames show fringes."""
     limits = sample.limits.of(VisibilityLimits)
     noise = float(np.median(sample.noise(sample.widest.offset)))
     strength, share = sample.strongest / noise, float(sample.lit.mean())

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import INSTRUMENTS, Commands, Force, Json, Out, RigName
-
-if TYPE_CHECKING:
-    from fpplab.devices.rig import Rig
-    from sim.preview import Arrangement
 
 twin = typer.Typer(
     cls=Commands,
@@ -83,13 +79,12 @@ def describe_rig(
     Example: `fpplab twin describe --rig rig_demo --stripes 20 --out preview.npz`
     """
     from fpplab.core.files import need_suffix, refuse_existing
+    from sim.preview import Arrangement, arrangement_summary, load_simulated_rig, save_preview
 
     need_suffix(out, ".npz")
     refuse_existing(out, force)
-    arrangement = _arrangement(item, pose, baseline, axis, stripes, phase_steps, exposure)
-    with _load_simulated_rig(rig) as bench:
-        from sim.preview import arrangement_summary, save_preview
-
+    arrangement = Arrangement(item, pose, baseline, axis, stripes, phase_steps, exposure)
+    with load_simulated_rig(rig) as bench:
         save_preview(bench, arrangement, shown_step, out)
         summary = arrangement_summary(bench, arrangement)
     console.print_result({"preview": str(out), **summary}, json)
@@ -117,14 +112,13 @@ def export_blend(
     Example: `fpplab twin export --rig matched/rig.yaml --item pyramid --out matched.blend`
     """
     from fpplab.core.files import need_suffix, refuse_existing
+    from sim.export import export_preview
+    from sim.preview import Arrangement, arrangement_summary, load_simulated_rig, make_preview
 
     need_suffix(out, ".blend")
     refuse_existing(out, force)
-    arrangement = _arrangement(item, pose, baseline, axis, stripes, phase_steps, exposure)
-    with _load_simulated_rig(rig) as bench:
-        from sim.export import export_preview
-        from sim.preview import arrangement_summary, make_preview
-
+    arrangement = Arrangement(item, pose, baseline, axis, stripes, phase_steps, exposure)
+    with load_simulated_rig(rig) as bench:
         with console.progress("Exporting"):
             export_preview(make_preview(bench, arrangement, shown_step), out)
         summary = arrangement_summary(bench, arrangement)
@@ -156,42 +150,18 @@ def record_on_twin(
     Example: `fpplab twin record --rig rig_demo --item pyramid --baseline 165 --stripes 48 --out pyramid`
     """
     from fpplab.calibration.model import Calibration
+    from fpplab.pipeline import CLOUD
     from fpplab.sessions.session import require_session_folder
+    from sim.preview import Arrangement, arrangement_summary, load_simulated_rig
+    from sim.preview_scan import record_scan
 
     loaded = Calibration.load(calibration) if calibration else None
     require_session_folder(out)
-    arrangement = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
-    with _load_simulated_rig(rig) as bench, console.stopwatch() as seconds:
-        from fpplab.pipeline import CLOUD
-        from sim.preview import arrangement_summary
-        from sim.preview_scan import record_scan
-
+    arrangement = Arrangement(item, pose, baseline, axis, stripes, steps, exposure)
+    with load_simulated_rig(rig) as bench, console.stopwatch() as seconds:
         summary = arrangement_summary(bench, arrangement)
         with console.progress("Scanning") as report:
             scan = record_scan(bench, arrangement, out, calibration=loaded, force=force, progress=report)
     figures = scan.figures()
     results = {"points": figures["points"], "images": arrangement.plan().images, "seconds": seconds()}
     console.print_result({"session": str(out), "cloud": str(out / CLOUD), **results, **summary}, json)
-
-
-def _load_simulated_rig(path: str) -> Rig:
-    from fpplab.devices.rig import Rig
-    from sim.preview import require_simulated
-
-    rig = Rig.load(path)
-    require_simulated(rig)
-    return rig
-
-
-def _arrangement(
-    item: str | None,
-    pose: int,
-    baseline: float | None,
-    axis: Literal["x", "y"],
-    stripes: float,
-    steps: int,
-    exposure: float,
-) -> Arrangement:
-    from sim.preview import Arrangement
-
-    return Arrangement(item, pose, baseline, axis, stripes, steps, exposure)

@@ -48,7 +48,6 @@ def split_of(index: int) -> str:
 
 
 def dataset_fields(bits: int) -> dict[str, FieldSpec]:
-    """Describe the fields of a data set for a camera's bit depth."""
     frames = "|u1" if bits <= 8 else "<u2"
     return {f.name: FieldSpec(**{**asdict(f), "dtype": frames}) if f.name == FRAMES else f for f in FIELDS}
 

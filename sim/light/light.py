@@ -149,7 +149,6 @@ class Light:
         return irradiance if self._falloff is None else irradiance * self._falloff[pixels]
 
     def differentiated(self, setup: SceneState) -> DifferentiatedLight | None:
-        """Give the light of an item with its derivatives."""
         _, scene, texture = self._built(setup)
         if self._world.path != "transport" or not self.computes(setup) or texture.exact:
             return None

@@ -87,7 +87,6 @@ class Loss:
 
 
 def ssim(reference: NDArray[Any], twin: NDArray[Any], full_scale: float, board: Mask) -> tuple[float, float]:
-    """Compute the structural similarity of two images."""
     from skimage import metrics
 
     compared: Any = metrics.structural_similarity

@@ -290,7 +290,6 @@ def _has_round_changed(before: MatchingEpoch, after: MatchingEpoch, limits: Matc
 
 
 def moved_um(before: TwinParameters, after: TwinParameters) -> float:
-    """Compute how far the poses of the board moved."""
     off = [a.translation - b.translation for a, b in zip(before.poses, after.poses, strict=True)]
     return 1e3 * float(np.sqrt(np.mean(np.sum(np.square(off), axis=-1))))
 

@@ -19,9 +19,10 @@ from sim.twin import Twin
 
 def check_scans(twin: Twin, scans: Mapping[str, Session]) -> None:
     """Refuse scans of other devices or of items without a mesh before any work."""
+    known = twin.parameters.calibration
     for item, session in scans.items():
         twin.mesh(item)
-        plausibility.check_devices(twin, session)
+        plausibility.check_devices(known.camera.size, known.projector, session)
 
 
 def fit_scans(

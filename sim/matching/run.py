@@ -111,6 +111,9 @@ class MatchingListener:
         return lambda share: self.progress(first + (last - first) * share)
 
 
+SILENT = MatchingListener()
+
+
 @dataclass(frozen=True, eq=False)
 class _Prepared:
     """The bench's recordings as they are matched, and the twin from which the matching starts."""
@@ -137,15 +140,10 @@ def match_sessions(
     target: Target,
     folder: Path,
     request: MatchingRequest,
-    *,
-    progress: Progress = no_progress,
-    observe: EpochObserver = ignore,
-    tell: Say = ignore,
-    prepared: Callable[[Reference], object] = ignore,
+    listener: MatchingListener = SILENT,
 ) -> MatchingResult:
     """Match a twin to recorded sessions of a board, and save it unless it must not be used."""
     # Continues where a record in `folder` ends.
-    listener = MatchingListener(progress, observe, tell, prepared)
     refusals = Refusals(request.accepted)
     _check_inputs(twin, sessions, target, request)
     begun = _characterise_and_place(twin, sessions, target, request, refusals, listener)
@@ -159,8 +157,8 @@ def match_sessions(
         request.limits,
         [*begun.scans, *begun.parts],
         progress=listener.between(0.1, 0.8),
-        observe=observe,
-        tell=tell,
+        observe=listener.observe,
+        tell=listener.tell,
     )
     best = begun.start.with_parameters(matched.parameters)
     late = _late_findings(reference, best, matched)
@@ -170,7 +168,7 @@ def match_sessions(
     result, complete = _compare_bench_and_twin(begun, matched, request, listener)
     result = replace(result, late=late, noted=tuple(refusals.notes))
     if not result.diagnosis.is_useless:
-        tell("comparing noise and scans for the intervals of predictions")
+        listener.tell("comparing noise and scans for the intervals of predictions")
         discrepancy_of(reference, complete, [*begun.scans, *begun.parts]).save(folder)
         complete.save(folder, reference.settings, result.notes)
     return result
@@ -250,8 +248,9 @@ def _compare_bench_and_twin(
 
 def _check_inputs(twin: Twin, sessions: Sequence[Session], target: Target, request: MatchingRequest) -> None:
     """Refuse before any work: other devices, another board, items that are not there."""
+    known = twin.parameters.calibration
     for session in [*sessions, request.card_scan] if request.card_scan else sessions:
-        plausibility.check_devices(twin, session)
+        plausibility.check_devices(known.camera.size, known.projector, session)
     plausibility.check_board(twin, target, "--target")
     for scans in (request.scans, request.surfaces):
         check_scans(twin, scans)

@@ -23,7 +23,7 @@ from sim.matching.parts import match_parts
 from sim.matching.record import EPOCHS, MatchingEpoch
 from sim.matching.reference import Reference
 from sim.matching.refusal import Refusals
-from sim.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
+from sim.matching.run import MatchingListener, MatchingRequest, MatchingResult, match_sessions, twin_of
 from sim.matching.scene.surface import SurfaceMatch
 from sim.twin import Twin
 
@@ -128,10 +128,7 @@ def _match(request: MatchRequest, twin: Twin, observer: MatchObserver) -> Matchi
                 request.target or twin.target,
                 request.out,
                 request.matching,
-                progress=progress,
-                observe=observe,
-                tell=tell,
-                prepared=references.append,
+                MatchingListener(progress, observe, tell, references.append),
             )
     except CalibrationError as error:
         raise with_causes(error, request.sessions, observer) from error

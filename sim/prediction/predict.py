@@ -39,11 +39,16 @@ from sim.part_surface import PartSurface
 from sim.prediction.discrepancy import Discrepancy
 from sim.prediction.figures import SeenShape, figures_of, seen_surface
 from sim.prediction.form import calibration_effects
-from sim.prediction.intervals import FigureInterval, distance_sigma, figure_intervals
-from sim.prediction.lengths import PredictedLength, predicted_lengths
+from sim.prediction.intervals import (
+    FigureInterval,
+    PredictedLength,
+    distance_sigma,
+    figure_intervals,
+    predicted_lengths,
+)
 from sim.sampling import ImagePartSampler
 from sim.world import World
-from sim.world.surface import surface_of
+from sim.world.materials.base import surface_of
 
 INNER = 8  # rows of a band that count (chosen)
 MARGIN, FILTER_MARGIN = 2, 5

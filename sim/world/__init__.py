@@ -5,11 +5,10 @@ faces the white projector at `projector.distance_mm`.
 """
 
 from sim.world.camera import Binning, CameraWorld, Sensor, ShutterSection
-from sim.world.items import ArtefactItem, BoardItem, CardItem, Item, MeshItem, PoseRules
+from sim.world.items import ArtefactItem, BoardItem, CardItem, Item, MeshItem, PoseRules, SurroundingsSection
 from sim.world.materials import Material
 from sim.world.projector import LedWorld, ProjectorWorld, ResponseSection
 from sim.world.render import LightPath, Render, Subpixels
-from sim.world.surroundings import SurroundingsSection
 from sim.world.world import StageWorld, World
 
 __all__ = [

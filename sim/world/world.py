@@ -19,13 +19,12 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from sim.effects import EFFECTS, WorldEffects
 from sim.world.camera import Binning, CameraWorld, has_rays
-from sim.world.items import BoardItem, Item, with_file_beside
+from sim.world.items import BoardItem, Item, SurroundingsSection, with_file_beside
 from sim.world.materials import Material, MaterialSection
 from sim.world.materials.diffuse import Diffuse
 from sim.world.numbers import NotNegative
 from sim.world.projector import ProjectorWorld
 from sim.world.render import LightPath, Render
-from sim.world.surroundings import SurroundingsSection
 
 MAX_DRAWS = 1000  # how often a number is drawn until its field allows it (chosen)
 

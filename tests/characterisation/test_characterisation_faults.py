@@ -12,8 +12,8 @@ import pytest
 
 from fpplab.characterisation import DistortionModel, Observation, characterise, observe
 from fpplab.characterisation.board_diagnosis import find_description_error
-from fpplab.characterisation.descriptions import explain_board_mismatch
 from fpplab.characterisation.limits import USUAL_LIMITS
+from fpplab.characterisation.observation import explain_board_mismatch
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target

@@ -36,7 +36,6 @@ def test_healthy_after_switching_on(host: Host) -> None:
     "words",
     [
         "1008 01",
-        "1000 01000200900374040300040034120011",
         "1a3f 1f07",
         "1a35 ffff0700",
         "1a0e 81",

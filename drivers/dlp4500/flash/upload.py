@@ -60,7 +60,6 @@ class UploadPlan:
 
 
 def check_firmware(firmware: Firmware) -> range:
-    """Check that a file was built for upload."""
     splash, images = firmware.splash, firmware.images
     if splash.offset % memory.SECTOR or splash.offset < firmware.behind_program or not images:
         raise DataError(

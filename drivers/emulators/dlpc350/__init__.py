@@ -5,10 +5,10 @@ public documentation, apart from what `Dlpc350Policy` names. It serves to test d
 how a real board behaves.
 """
 
+from drivers.emulators.dlpc350.engine import STRICT, Dlpc350Policy
 from drivers.emulators.dlpc350.firmware import Dlpc350
 from drivers.emulators.dlpc350.light import FlashImage, ProjectedLight
 from drivers.emulators.dlpc350.loader import FlashedDlpc350
-from drivers.emulators.dlpc350.policy import STRICT, Dlpc350Policy
 from drivers.emulators.dlpc350.sequencer import Pulse
 from drivers.emulators.dlpc350.usb import EmulatedHid, UsbFault
 from drivers.emulators.dlpc350.video import EmulatedDisplay, Video

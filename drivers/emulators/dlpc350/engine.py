@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Self, TypeVar
 
 import numpy as np
@@ -14,9 +15,46 @@ from drivers.dlp4500.layout import Command, RegisterLayout, Values
 from drivers.dlp4500.protocol import COLOURS, COMMANDS, ENTRY, MAX_ENTRIES, DisplayMode, Source, TriggerMode
 from drivers.dlp4500.sequence import SIZE, SOLID
 from drivers.emulators.dlpc350.light import FlashImage, ProjectedLight
-from drivers.emulators.dlpc350.policy import Dlpc350Policy
 from drivers.emulators.dlpc350.sequencer import Pulse, Sequencer
 from drivers.emulators.dlpc350.video import Video, apply_channel_swap
+
+
+@dataclass(frozen=True)
+class Dlpc350Policy:
+    """Assumptions about the firmware."""
+
+    echoes_sequence: bool = True  # A reply carries the sequence number of its request
+    acknowledges_with_command: bool = True  # the reply to a write carries the number of its command
+    answers_other_destinations: bool = False
+    refuses_changes_while_running: bool = True
+    needs_validation: bool = True
+    validation_s: float = 0.03  # time in s that a validation takes
+    ignored_starts: int = 0  # how many orders to start are acknowledged without effect
+    running_shown_late_s: float = 0.0  # how long after a start the main status still reads "stopped", in s
+    turnaround_s: float = 0.0  # time in s from a request to its reply, in which the sequencer goes on
+    accepts_a_gap_of_230_us: bool = False
+    needs_lock_before_pattern_mode: bool = True
+    swap_letter_is_input: bool = True  # in a channel swap such as "CAB"
+    mode_change_s: float = 0.2  # time in s that a change of the display mode takes
+    wake_s: float = 2.0  # time in s that the controller takes to leave standby
+    loses_wake_acknowledgement: bool = False  # the order to wake is not acknowledged
+    sleeps_in_pattern_mode: bool = True  # standby is accepted in pattern mode; otherwise only in video mode
+    reset_s: float = 2.0  # time in s that the USB device is absent after a software reset
+    keeps_last_pattern: bool = True  # A sequence that is stopped
+    image_load_s: float = 0.02  # time in s that loading an image from flash takes
+    sector_erase_s: float = 0.8  # time in s that the boot loader is busy erasing a sector
+    checksum_s: float = 0.001  # time in s that the boot loader is busy computing a checksum
+    protects_boot_sector: bool = True  # the boot loader refuses to erase or write its own sector
+    max_loader_data: int = 504  # bytes that the boot loader accepts in one data message
+
+
+STRICT = Dlpc350Policy(ignored_starts=1, running_shown_late_s=0.1, turnaround_s=0.002)
+"""The stricter case wherever no source says which one is right: tests and the emulated bench use it.
+
+The first start after each change of a sequence has no effect, "running" is shown late, and every request
+takes the time of two reports at full speed USB.
+"""
+
 
 SEQUENCE_COMMANDS = {
     command.number
@@ -168,7 +206,7 @@ class LightEngine:
         self._was_locked = False
         self._registers = power_on()
         self.asleep, self._awake_at_s = False, 0.0
-        self._mode, self._next_mode = DisplayMode.VIDEO, (DisplayMode.VIDEO, 0.0)
+        self.mode, self._next_mode = DisplayMode.VIDEO, (DisplayMode.VIDEO, 0.0)
         self._aborted, self._unvalidated = False, True
         self._validated_s, self._ignored_starts, self._started_s = 0.0, 0, 0.0
         self._validation_result = dict.fromkeys((field.name for field in protocol.VALIDATION.named), 0)
@@ -182,13 +220,9 @@ class LightEngine:
         """Do everything that was due until now."""
         now = self.clock.now()
         mode, at_s = self._next_mode
-        if mode is not self._mode and now >= at_s:
-            self._mode = mode
+        if mode is not self.mode and now >= at_s:
+            self.mode = mode
         self.sequencer.advance(now)
-
-    @property
-    def mode(self) -> DisplayMode:
-        return self._mode
 
     def light(self) -> ProjectedLight | None:
         # In video mode the content of the port is not followed: it counts as white.
@@ -200,7 +234,7 @@ class LightEngine:
         if self.asleep:
             return None
         enabled = self._registers[protocol.LED_ENABLE.number]
-        if self._mode is DisplayMode.VIDEO:
+        if self.mode is DisplayMode.VIDEO:
             return self._if_illuminated(
                 ProjectedLight(_black_image(), 1, SOLID, True, self._levels(enabled, COLOURS), None)
             )

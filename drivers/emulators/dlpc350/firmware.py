@@ -108,7 +108,7 @@ class Dlpc350(LightEngine):
             },
             protocol.IMAGES_IN_FLASH: lambda: {"count": len(self.images) % 256},
             protocol.POWER: lambda: {"standby": int(self.is_asleep())},
-            protocol.DISPLAY_MODE: lambda: {"mode": self._mode},
+            protocol.DISPLAY_MODE: lambda: {"mode": self.mode},
             protocol.SEQUENCE: lambda: {"run": self.sequencer.state},
             protocol.IMAGE_LOAD_TIMING: lambda: {"ticks": self._timing},
             protocol.VIDEO_SIGNAL: self._video_signal,
@@ -217,7 +217,7 @@ class Dlpc350(LightEngine):
 
     def _set_power(self, values: Values) -> None:
         if values["standby"]:
-            if self._mode is DisplayMode.PATTERN and not self.policy.sleeps_in_pattern_mode:
+            if self.mode is DisplayMode.PATTERN and not self.policy.sleeps_in_pattern_mode:
                 raise CommandRejected
             self.sequencer.stop()
             self.asleep, self._awake_at_s = True, 0.0
@@ -244,7 +244,7 @@ class Dlpc350(LightEngine):
             self.sequencer.pause()
         elif self._open() is not Mailbox.CLOSED:
             raise CommandRejected
-        elif self._mode is not DisplayMode.PATTERN or self._is_validating() or self.sequencer.running:
+        elif self.mode is not DisplayMode.PATTERN or self._is_validating() or self.sequencer.running:
             return
         elif self._ignored_starts:
             self._ignored_starts -= 1

@@ -11,9 +11,9 @@ from typing import NoReturn
 
 from drivers.clock import Clock
 from drivers.dlp4500.framing import ERROR, READ, REPLY_WANTED, UsbMessage
+from drivers.emulators.dlpc350.engine import Dlpc350Policy
 from drivers.emulators.dlpc350.firmware import CommandRejected, Dlpc350
 from drivers.emulators.dlpc350.flash import SECTOR, Flash, stored_images
-from drivers.emulators.dlpc350.policy import Dlpc350Policy
 from drivers.emulators.dlpc350.sequencer import Pulse
 
 ENTER = 0x3001  # number of the command by which the application enters the boot loader (TI's client)

@@ -69,7 +69,6 @@ class EmulatedHid:
         self._plugged_from_s = self.controller.clock.now() + seconds
 
     def enumerate(self, vendor_id: int = 0, product_id: int = 0) -> list[dict[str, Any]]:
-        """List the device's interfaces as `hid.enumerate` does."""
         if not self.is_plugged or (vendor_id, product_id) != (VENDOR, PRODUCT):
             return []
         return [
@@ -83,7 +82,6 @@ class EmulatedHid:
         ]
 
     def device(self) -> EmulatedDevice:
-        """Create a device handle as `hid.device()` does."""
         return EmulatedDevice(self)
 
 

@@ -48,7 +48,6 @@ class UsbIpConnection:
         self._pending: dict[int, deque[tuple[int, int]]] = defaultdict(deque)
 
     def handle_request(self) -> bool:
-        """Handle the kernel's next request."""
         head = self._received(48)  # the size of every header
         if not head:
             return False

@@ -82,17 +82,12 @@ class GrblController:
         self._output.clear()
         return output
 
-    @property
-    def mode(self) -> GrblState:
-        """The state that a report would give."""
-        return self._mode
-
     def power_cycle(self) -> None:
         """Switch off and on: the carriage stays where it is, but the position is forgotten."""
         self.drive.forget_position()
         self.modes = Modes()
         locked = self._policy.locks_at_power_up and self.settings.flag(22)
-        self._mode = GrblState.ALARM if locked else GrblState.IDLE
+        self.mode = GrblState.ALARM if locked else GrblState.IDLE
         self._start()
 
     # --- starting and stopping
@@ -105,12 +100,12 @@ class GrblController:
         self._wco_in = self._overrides_in = 0
         self.modes = Modes(offset=self.modes.offset)  # a reset restores G21 and G90, and keeps G54's offset
         self._send(f"\r\nGrbl {VERSION} ['$' for help]")
-        if self._mode is GrblState.ALARM:
+        if self.mode is GrblState.ALARM:
             self._send("[MSG:'$H'|'$X' to unlock]")
 
     def _reset(self) -> None:
-        broken_off = self._awaits_rest or self._mode is GrblState.HOME or self._needs_reset
-        if self._mode is GrblState.HOME:
+        broken_off = self._awaits_rest or self.mode is GrblState.HOME or self._needs_reset
+        if self.mode is GrblState.HOME:
             self._alarm(6)
         elif self.drive.motion is not None:
             self._alarm(3)
@@ -119,13 +114,13 @@ class GrblController:
     def _restart(self, broken_off: bool) -> None:
         if broken_off and self._policy.ok_after_abort:
             self._send("ok")
-        if self._mode is not GrblState.ALARM:
-            self._mode = GrblState.IDLE
+        if self.mode is not GrblState.ALARM:
+            self.mode = GrblState.IDLE
         self._start()
 
     def _alarm(self, code: int) -> None:
         self.drive.motion = None
-        self._mode = GrblState.ALARM
+        self.mode = GrblState.ALARM
         self._send(f"ALARM:{code}")
 
     def _lock(self, code: int) -> None:
@@ -149,10 +144,10 @@ class GrblController:
             self._end_motion()
 
     def _end_motion(self) -> None:
-        if self._mode is GrblState.HOLD:
+        if self.mode is GrblState.HOLD:
             self._is_held = True
             return
-        self._mode = GrblState.IDLE
+        self.mode = GrblState.IDLE
         if self._awaits_rest:
             self._awaits_rest = False
             self._send("ok")
@@ -160,7 +155,7 @@ class GrblController:
     def _begin(self, move: Move, mode: GrblState, rate_mm_s: float = math.inf) -> None:
         self.drive.begin(move, self._clock(), rate_mm_s)
         if self.drive.motion is not None:
-            self._mode = mode
+            self.mode = mode
 
     def leave_modes(self, modes: Modes) -> None:
         """Change modes and work offset as another program does; the next report has the offset."""
@@ -180,21 +175,21 @@ class GrblController:
 
     def _hold(self) -> None:
         """Brake to rest; a jog is cancelled thereby, a move is held until a reset."""
-        if self._mode is GrblState.IDLE:
-            self._mode, self._is_held = GrblState.HOLD, True
-        elif self._mode in (GrblState.RUN, GrblState.JOG):
-            if self._mode is GrblState.RUN:
-                self._mode = GrblState.HOLD
+        if self.mode is GrblState.IDLE:
+            self.mode, self._is_held = GrblState.HOLD, True
+        elif self.mode in (GrblState.RUN, GrblState.JOG):
+            if self.mode is GrblState.RUN:
+                self.mode = GrblState.HOLD
             self.drive.brake(self._clock())
             if self.drive.motion is None:
                 self._end_motion()
 
     def _report(self) -> None:
-        if self._needs_reset or self._mode is GrblState.HOME:
+        if self._needs_reset or self.mode is GrblState.HOME:
             return
         inches, offset = self.settings.flag(13), self.modes.offset
-        in_motion = self._mode in (GrblState.RUN, GrblState.JOG, GrblState.HOLD)
-        fields = [f"Hold:{0 if self._is_held else 1}" if self._mode is GrblState.HOLD else str(self._mode)]
+        in_motion = self.mode in (GrblState.RUN, GrblState.JOG, GrblState.HOLD)
+        fields = [f"Hold:{0 if self._is_held else 1}" if self.mode is GrblState.HOLD else str(self.mode)]
         if int(self.settings[10]) & 1:
             fields.append(f"MPos:{_axes(self.drive.position, inches)}")
         else:
@@ -231,9 +226,9 @@ class GrblController:
     def _must_wait(self, first: int) -> bool:
         """Whether a line with this first byte waits in the buffer; real-time commands are done at once."""
         # GRBL would plan further moves while one is under way; here they wait, for the driver sends none.
-        if self._needs_reset or self._awaits_rest or self._mode in (GrblState.HOME, GrblState.HOLD):
+        if self._needs_reset or self._awaits_rest or self.mode in (GrblState.HOME, GrblState.HOLD):
             return True
-        return self._mode is GrblState.RUN and first != ord("$") and not self._waiting.startswith(b"G4")
+        return self.mode is GrblState.RUN and first != ord("$") and not self._waiting.startswith(b"G4")
 
     def _execute(self, line: str) -> None:
         if len(line) >= LINE_CHARACTERS:
@@ -243,14 +238,14 @@ class GrblController:
         elif line.startswith("$"):
             self._system(line)
             self._send("ok")
-        elif line and self._mode in (GrblState.ALARM, GrblState.JOG):
+        elif line and self.mode in (GrblState.ALARM, GrblState.JOG):
             raise GcodeError(9)
         else:
             self._gcode(line)
 
     def _gcode(self, line: str) -> None:
         move = interpret(read_block(line), self.modes, self.drive.position)
-        if move is None and self._mode is GrblState.RUN:
+        if move is None and self.mode is GrblState.RUN:
             self._awaits_rest = True
             return
         if move is not None and self._leaves_travel(move):
@@ -261,7 +256,7 @@ class GrblController:
         self._send("ok")
 
     def _system(self, line: str) -> None:
-        if self._mode not in (GrblState.IDLE, GrblState.ALARM):
+        if self.mode not in (GrblState.IDLE, GrblState.ALARM):
             raise GcodeError(8)
         if line == "$$":
             self._send("\r\n".join(self.settings.report_lines()))
@@ -274,11 +269,11 @@ class GrblController:
     # --- homing
 
     def _home(self) -> None:
-        if self._mode not in (GrblState.IDLE, GrblState.ALARM):
+        if self.mode not in (GrblState.IDLE, GrblState.ALARM):
             raise GcodeError(8)
         if not self.settings.flag(22):
             raise GcodeError(5)
-        self._mode = GrblState.HOME
+        self.mode = GrblState.HOME
         self._homed_s = self._clock() + self.drive.homing_cycle()[0]
 
     def _end_homing(self) -> None:
@@ -288,7 +283,7 @@ class GrblController:
             self._alarm(alarm)
             self._restart(broken_off=True)
             return
-        self._homed_s, self._mode = None, GrblState.IDLE
+        self._homed_s, self.mode = None, GrblState.IDLE
         self.drive.set_home(carriage_mm, self._policy.forces_origin)
         self._send("ok")
 

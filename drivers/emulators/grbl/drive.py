@@ -195,7 +195,6 @@ class Drive:
         self.motion = Motion(axis, origin_mm, move.target_mm, ramp, at_s)
 
     def brake(self, now: float) -> None:
-        """Slow the present move down to rest."""
         motion = self.motion
         if motion is None or not isinstance(motion.ramp, Ramp):
             return

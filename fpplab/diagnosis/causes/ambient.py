@@ -45,7 +45,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    """The light that does not change, relative to the modulation."""
     from fpplab.core.drawing import value_range
     from fpplab.diagnosis.pictures import draw_sample_map
 

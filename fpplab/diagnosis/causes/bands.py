@@ -118,7 +118,6 @@ def _between_sets(sample: FrameSample, rows: NDArray[np.intp], sets: Sequence[in
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
-    """The brightness of rows in each frame compared with the fit of the fringes."""
     from fpplab.core.drawing import HALF, colour_bar, single_axes
 
     gains = row_gains(evidence.frames)

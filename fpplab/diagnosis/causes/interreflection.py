@@ -12,11 +12,11 @@ from scipy.ndimage import uniform_filter
 from fpplab.calibration.model import Calibration
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Axis, Floats, Mask
-from fpplab.diagnosis.direction import DirectionLimits, changes_along_image
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import harmonics_of_power_law_rad, phase_deviations
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
+from fpplab.diagnosis.points import DirectionLimits, changes_along_image
 from fpplab.diagnosis.sample import MEDIAN, FrameSample
 
 
@@ -152,7 +152,6 @@ def _phase_error(sample: FrameSample, axis: Axis, backward: Mask) -> float:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
-    """Where the phase of the wide fringes departs most from that of the finest."""
     from fpplab.diagnosis.pictures import draw_sample_map
 
     sample = evidence.frames

@@ -46,7 +46,6 @@ def _evidence(share: float, limit: float) -> str:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    """Which part of the image sees the fringes."""
     from fpplab.core.drawing import ALARM, colour_bar, draw_map, map_axes
     from fpplab.diagnosis.pictures import sample_extent
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from fpplab.core.config import Positive
 from fpplab.diagnosis.finding import FaultCause
 from fpplab.diagnosis.limits import LimitsSection, ShareLimit
@@ -9,6 +11,8 @@ from fpplab.diagnosis.limits import LimitsSection, ShareLimit
 SHOWN_BY = "the page of the acceptance test"
 USELESS_ERROR = 10.0
 """Error as a multiple of the permissible one, above which the system must not be used. Chosen."""
+_cause = partial(FaultCause, seen_in="verify", shown_by=SHOWN_BY)
+_error = partial(_cause, useless_from=USELESS_ERROR)
 
 
 class AcceptanceTestLimits(LimitsSection):
@@ -24,74 +28,55 @@ class AcceptanceTestLimits(LimitsSection):
     """Relative error of all lengths that makes a system useless, whatever is permitted. Chosen."""
 
 
-FEW_POSITIONS = FaultCause(
+FEW_POSITIONS = _cause(
     key="few_positions",
     meaning="A standard was measured in fewer positions than an acceptance test needs.",
     remedy="measure the standard in more positions, spread over the measuring volume",
     measured="positions of a standard compared with those that its file asks for",
     limit="all of them",
-    seen_in="verify",
-    shown_by=SHOWN_BY,
 )
-NO_LIMITS = FaultCause(
+NO_LIMITS = _cause(
     key="no_limits",
     meaning="No maximum permissible error is stated, so that nothing is judged.",
     remedy="state them in the standard's file, or with --mpe PF=…,SD=…",
     measured="whether any maximum permissible error is stated",
     limit="one",
-    seen_in="verify",
-    shown_by=SHOWN_BY,
 )
-FORM = FaultCause(
+FORM = _error(
     key="form",
     meaning="A measured sphere or plane is bent: neighbouring pixels share the error.",
     remedy="measure the response with 'fpplab gamma', take more steps, and characterise again with poses "
     "over the whole volume; coat shiny standards",
     measured="PF and F compared with what is permitted, where neighbouring pixels share the error",
     limit="the permissible error; half of the variance shared",
-    seen_in="verify",
-    shown_by=SHOWN_BY,
-    useless_from=USELESS_ERROR,
 )
-NOISE = FaultCause(
+NOISE = _error(
     key="noise",
     meaning="A measured sphere or plane is rough: neighbouring pixels do not share the error.",
     remedy="expose longer or open the aperture, take more steps or more stripes, and shade the scene",
     measured="PF and F compared with what is permitted, where neighbouring pixels do not share the error",
     limit="the permissible error; half of the variance shared",
-    seen_in="verify",
-    shown_by=SHOWN_BY,
-    useless_from=USELESS_ERROR,
 )
-SCALE = FaultCause(
+SCALE = _error(
     key="scale",
     meaning="All lengths are wrong by the same ratio.",
     remedy="measure the spacing of the characterisation's board and correct its target file, then "
     "characterise again",
     measured="mean relative error of a ball bar's spacings, which their scatter does not explain",
     limit="the permissible SD; 1 %",
-    seen_in="verify",
-    shown_by=SHOWN_BY,
-    useless_from=USELESS_ERROR,
 )
-UNEVEN_LENGTHS = FaultCause(
+UNEVEN_LENGTHS = _error(
     key="uneven_lengths",
     meaning="Lengths are wrong by a ratio that depends on where they are measured.",
     remedy="characterise again, with more poses that cover the whole volume, and keep temperature and "
     "lenses as they are",
     measured="mean relative error of a ball bar's spacings, where their scatter explains it",
     limit="the permissible SD",
-    seen_in="verify",
-    shown_by=SHOWN_BY,
-    useless_from=USELESS_ERROR,
 )
-SPHERE_SIZE = FaultCause(
+SPHERE_SIZE = _error(
     key="sphere_size",
     meaning="Spheres are measured too large or too small although lengths are right.",
     remedy="use matt, opaque spheres of known diameter, and check for a bent response with 'fpplab check'",
     measured="PS that is left when the scale is taken out",
     limit="the permissible PS",
-    seen_in="verify",
-    shown_by=SHOWN_BY,
-    useless_from=USELESS_ERROR,
 )

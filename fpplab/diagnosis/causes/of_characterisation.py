@@ -1,10 +1,13 @@
 """Causes that a characterisation reports of the poses of its board."""
 
+from functools import partial
+
 from fpplab.diagnosis.finding import FaultCause
 
 SHOWN_BY = "the residuals of every pose in the report"
+_cause = partial(FaultCause, shown_by=SHOWN_BY)
 
-LENS_NOT_LOCKED = FaultCause(
+LENS_NOT_LOCKED = _cause(
     key="lens_not_locked",
     meaning="The image's scale differs between the poses of a characterisation.",
     remedy="lock focus and aperture of both lenses, let them warm up, and take all poses again",
@@ -13,9 +16,8 @@ LENS_NOT_LOCKED = FaultCause(
     "compared with that of the others",
     limit="0.01 %, and what noise explains once in 10,000 times; 12 %",
     seen_in="characterise, match",
-    shown_by=SHOWN_BY,
 )
-BOARD_NOT_FOUND = FaultCause(
+BOARD_NOT_FOUND = _cause(
     key="board_not_found",
     meaning="The board, or enough of its points, is not found in the frames of a pose.",
     remedy="hold the whole board where the camera sees it and the projector lights it, its front towards "
@@ -23,9 +25,8 @@ BOARD_NOT_FOUND = FaultCause(
     measured="whether the board is found in the frames of a pose, and enough of its points are lit",
     limit="3 tries in succession at the beginning, then 8",
     seen_in="poses, `--guide`",
-    shown_by=SHOWN_BY,
 )
-BOARD_MOVED = FaultCause(
+BOARD_MOVED = _cause(
     key="board_moved",
     meaning="The board was not at rest while a pose was taken.",
     remedy="lean the board against something, or clamp it, and take the hands away until the pose is taken",
@@ -33,9 +34,8 @@ BOARD_MOVED = FaultCause(
     "the camera's are as predicted",
     limit="twice those predicted, and a chance of 0.001",
     seen_in="poses, `--guide`",
-    shown_by=SHOWN_BY,
 )
-POSE_MISFIT = FaultCause(
+POSE_MISFIT = _cause(
     key="pose_misfit",
     meaning="A pose fits far worse than the others.",
     remedy="take the pose again; keep the board flat, and camera, projector and lenses as they are",
@@ -43,5 +43,4 @@ POSE_MISFIT = FaultCause(
     "pose over the board below the median",
     limit="twice those predicted, and a chance of 0.001; 0.1",
     seen_in="poses, `--guide`, match",
-    shown_by=SHOWN_BY,
 )

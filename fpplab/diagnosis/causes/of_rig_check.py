@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -56,110 +57,94 @@ def _draw_brightness(evidence: Evidence, _: Finding) -> Figure:
     return draw_brightness_by_frame(evidence.frames, evidence.limits.of(FlickerLimits).max_scatter)
 
 
-MARKER_PICTURE = Picture(Needs.MARKER, _draw_marker)
 RATE_PICTURE = Picture(Needs.FINDING, _draw_rate)
+_cause = partial(FaultCause, seen_in="check")
+_of_marker = partial(_cause, picture=Picture(Needs.MARKER, _draw_marker))
 DEVICE_REPORT = "what the device reports"
 
-DEVICE = FaultCause(
+DEVICE = _cause(
     key="device",
     meaning="A device reported an error.",
     remedy="check its cable, power and drivers; 'fpplab devices' lists what is connected",
     measured="what a device reports",
     limit="any error",
-    seen_in="check",
     shown_by=DEVICE_REPORT,
 )
-NO_TRIGGER = FaultCause(
+NO_TRIGGER = _of_marker(
     key="no_trigger",
     meaning="No trigger pulse reaches the camera.",
     remedy="check the trigger cable, the camera's `line`, its input's voltage, and the projector's output 1",
     measured="frames of a triggered run of uniform images",
     limit="none came",
-    seen_in="check",
-    picture=MARKER_PICTURE,
 )
-TRIGGER_EDGE = FaultCause(
+TRIGGER_EDGE = _of_marker(
     key="trigger_edge",
     meaning="The camera exposes at the wrong edge of the trigger pulse.",
     remedy="choose the other `edge` of the camera's trigger, or the other polarity (`inverted`) of the "
     "projector's output 1; check the trigger's delay",
     measured="frames of a run with darkness between the images",
     limit="they show the darkness",
-    seen_in="check",
-    picture=MARKER_PICTURE,
 )
-CAMERA_NOT_READY = FaultCause(
+CAMERA_NOT_READY = _of_marker(
     key="camera_not_ready",
     meaning="The next trigger comes before the camera is ready.",
     remedy="state a longer `dead_time_s` in the rig file's section of the camera",
     measured="frames of runs with more time between triggers",
     limit="all come then, and not before",
-    seen_in="check",
-    picture=MARKER_PICTURE,
 )
-TRIGGER_SHIFTED = FaultCause(
+TRIGGER_SHIFTED = _of_marker(
     key="trigger_shifted",
     meaning="Triggered exposures begin after their patterns, or before them.",
     remedy="reduce `delay_us` and `debounce_us` of the camera's trigger, choose the edge at which a "
     "pattern begins, or use a GPIO line",
     measured="levels of the triggered run as mixtures of those of the stepped run",
     limit="a neighbour's share of 3 % or more",
-    seen_in="check",
-    picture=MARKER_PICTURE,
 )
-SLOW_DISPLAY = FaultCause(
+SLOW_DISPLAY = _of_marker(
     key="slow_display",
     meaning="The display is slower than the plan waits.",
     remedy="give the plan a longer settle_s",
     measured="grey levels seen compared with those shown, at longer settling times",
     limit="in step twice at a longer one, out of step twice at the plan's",
-    seen_in="check",
-    picture=MARKER_PICTURE,
 )
-OUT_OF_STEP = FaultCause(
+OUT_OF_STEP = _of_marker(
     key="out_of_step",
     meaning="Frames show other patterns than their own.",
     remedy="check the trigger, or give the plan a longer settle_s",
     measured="the same as `slow_display`; slips of the trigger that explain them",
     limit="1.5 % of their range RMS",
-    seen_in="check",
-    picture=MARKER_PICTURE,
 )
-NO_PERMISSION = FaultCause(
+NO_PERMISSION = _cause(
     key="no_permission",
     meaning="The user may not open a device.",
     remedy="copy the udev rules of docs/hardware.md, join the group that they name, and plug the device in "
     "again",
     measured="whether the system refuses to open a device",
     limit="any refusal",
-    seen_in="check",
     shown_by=DEVICE_REPORT,
 )
-SLOW_LINK = FaultCause(
+SLOW_LINK = _cause(
     key="slow_link",
     meaning="The camera's connection carries fewer frames than the plan takes.",
     remedy="use a USB 3 port and cable, fewer bits, or a longer period between frames",
     measured="frames that the camera's link carries, by the rate that its driver states",
     limit="those of the plan",
-    seen_in="check",
     picture=RATE_PICTURE,
 )
-SLOW_DISK = FaultCause(
+SLOW_DISK = _cause(
     key="slow_disk",
     meaning="Frames come faster than they are written.",
     remedy="write to a local disk, or take fewer frames per second",
     measured="frames per second that the folder of `--out` takes, or the working folder",
     limit="those of a triggered plan",
-    seen_in="check",
     picture=RATE_PICTURE,
 )
-MAINS_FLICKER = FaultCause(
+MAINS_FLICKER = _cause(
     key="mains_flicker",
     meaning="The light follows the mains.",
     remedy="expose for whole periods of the light, or run the lamp from direct current",
     measured="scatter of the brightness of further frames, exposed as the plan says and for whole periods "
     "of 100 and 120 Hz",
     limit="0.75 %, of which whole periods leave at most 0.4",
-    seen_in="check",
     picture=Picture(Needs.FRAMES, _draw_brightness),
 )

@@ -20,7 +20,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    """The brightest grey level of every pixel, saturated ones marked."""
     from fpplab.core.drawing import draw_frame
 
     recording = evidence.frames.recording

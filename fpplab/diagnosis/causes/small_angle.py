@@ -29,7 +29,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    """The angles between the rays of camera and projector."""
     from fpplab.core.drawing import ACCENT
     from fpplab.diagnosis.pictures import curve_axes, draw_limit
 

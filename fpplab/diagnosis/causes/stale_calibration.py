@@ -72,7 +72,6 @@ def _limit_px(evidence: Evidence) -> float:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
-    """How far points are off their epipolar lines."""
     from fpplab.core.drawing import colour_bar, draw_map, map_axes
 
     points, limit = evidence.points, _limit_px(evidence)

@@ -41,7 +41,6 @@ def _find_low_peaks(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Findin
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    """How bright lit pixels become, and what the brightest should reach."""
     from fpplab.core.drawing import ACCENT
     from fpplab.diagnosis.pictures import curve_axes, draw_limit
 

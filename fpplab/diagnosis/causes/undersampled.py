@@ -34,7 +34,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    """The finest fringes along some pixels in the middle of the image."""
     from fpplab.core.drawing import ACCENT
     from fpplab.diagnosis.pictures import curve_axes
 

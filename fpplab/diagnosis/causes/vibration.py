@@ -55,7 +55,6 @@ def _displacement(reference: Floats, other: Floats) -> tuple[float, float]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    """How far the scene is displaced in each fringe set, and what that changes in the image."""
     from fpplab.core.drawing import ACCENT, ALARM, colour_bar, side_by_side
 
     sample, limit = evidence.frames, evidence.limits.of(VibrationLimits).max_shift_px

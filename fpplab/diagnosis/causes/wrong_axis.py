@@ -35,7 +35,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    """How the projector's coordinates change with depth, those that the plan codes marked."""
     from fpplab.core.drawing import ACCENT, HALF, SECOND, single_axes
     from fpplab.diagnosis.pictures import draw_limit
 

@@ -13,7 +13,6 @@ from fpplab.diagnosis.causes.flicker import FLICKER
 from fpplab.diagnosis.causes.harmonics import HARMONICS
 from fpplab.diagnosis.causes.response import RESPONSE
 from fpplab.diagnosis.causes.wrong_orientation import WRONG_ORIENTATION
-from fpplab.diagnosis.direction import DirectionLimits, changes_along_image
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
@@ -21,7 +20,7 @@ from fpplab.diagnosis.plan import PlanCheck, check_plan_fit
 from fpplab.diagnosis.plan.edits import Edit
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 from fpplab.diagnosis.plan.orientation import check_orientation, steps_on_epipolar_lines
-from fpplab.diagnosis.points import systematic_epipolar_px
+from fpplab.diagnosis.points import DirectionLimits, changes_along_image, systematic_epipolar_px
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
 

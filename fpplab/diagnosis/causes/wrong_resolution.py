@@ -183,7 +183,6 @@ def _find_evenly_bright_pixels(image: Image, max_change: float) -> Mask:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
-    """How often along the projector's pixels errors of the coordinate repeat."""
     from fpplab.core.drawing import ACCENT, ALARM
     from fpplab.diagnosis.pictures import curve_axes
 

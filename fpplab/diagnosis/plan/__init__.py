@@ -4,11 +4,10 @@ Stages: `sample` measures phases and how they change along the image, `edits` ar
 make in plans, `check` decides which plan fits, `guess` writes one.
 """
 
-from fpplab.diagnosis.plan.changing_brightness import describe_changing_brightness
 from fpplab.diagnosis.plan.check import PlanCheck, check_plan_fit
 from fpplab.diagnosis.plan.code_order import code_order_fault
 from fpplab.diagnosis.plan.guess import PlanGuess, guess_plan
-from fpplab.diagnosis.plan.other_patterns import name_other_patterns
+from fpplab.diagnosis.plan.other_patterns import describe_changing_brightness, name_other_patterns
 
 __all__ = [
     "PlanCheck",

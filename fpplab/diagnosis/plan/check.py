@@ -19,7 +19,6 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import AXES
 from fpplab.core.errors import ConfigError
-from fpplab.diagnosis.direction import expected_change
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.plan.bend import Bend, fitted_bends
 from fpplab.diagnosis.plan.edits import (
@@ -33,6 +32,7 @@ from fpplab.diagnosis.plan.edits import (
 )
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 from fpplab.diagnosis.plan.sample import PhaseSample, gradient_directions
+from fpplab.diagnosis.points import expected_change
 from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import MaskRules, Plan
 from fpplab.patterns.recording import Recording

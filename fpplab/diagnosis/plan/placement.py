@@ -9,8 +9,8 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import AXES, Axis, Floats, Mask
 from fpplab.core.depth import DepthRange
-from fpplab.diagnosis.direction import expected_change
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
+from fpplab.diagnosis.points import expected_change
 
 ITERATIONS = 8  # of Newton's method, which converges within four (chosen)
 STEP = 1e-3  # of the inverse depth for its derivative, as a share of the inverse of three baselines (chosen)

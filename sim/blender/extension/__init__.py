@@ -14,7 +14,6 @@ CLASSES = (ExtensionPreferences, RigSettings, *OPERATORS, RigPanel)
 
 
 def register() -> None:
-    """Add operators, panel and preferences to Blender."""
     for class_ in CLASSES:
         bpy.utils.register_class(class_)
     attach_settings()

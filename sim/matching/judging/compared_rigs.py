@@ -20,6 +20,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
 from sim.bench import VirtualBench
 from sim.matching.judging.measured import measured_figures, recorded_figures
+from sim.matching.judging.plausibility import check_devices
 from sim.prediction import MeasuredFigures, Prediction, predict
 
 
@@ -70,7 +71,7 @@ def compare_rigs(rig: Rig, session: Session, item: str, calibration: Calibration
     """Confront a twin's prediction with a bench's scan, and cross their calibrations."""
     if not isinstance(rig.simulation, VirtualBench):
         raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
-    _need_same_devices(rig, session)
+    check_devices(rig.camera.caps.size, rig.projector.caps, session)
     sampler, plan = rig.simulation.image_part_sampler(), session.plan
     mesh, depth = sampler.mesh(item), session.depth
     size, lattice = session.projector()
@@ -84,19 +85,3 @@ def compare_rigs(rig: Rig, session: Session, item: str, calibration: Calibration
         ("twin", name): recorded_figures(own, used, mesh, depth) for name, used in calibrations.items()
     }
     return RigComparison(predict(rig, plan, item), crossed)
-
-
-def _need_same_devices(rig: Rig, session: Session) -> None:
-    width, height, _ = session.format
-    size, lattice = session.projector()
-    camera, projector = rig.camera.caps, rig.projector.caps
-    if (width, height) != camera.size:
-        raise ConfigError(
-            f"{session.path}: the bench's camera has {width} x {height} pixels, the twin's "
-            f"{camera.size[0]} x {camera.size[1]}; name this bench's twin"
-        )
-    if (size, lattice) != (projector.size, projector.lattice):
-        raise ConfigError(
-            f"{session.path}: the bench's projector has {size[0]} x {size[1]} mirrors, {lattice}, the twin's "
-            f"{projector.size[0]} x {projector.size[1]}, {projector.lattice}; name this bench's twin"
-        )

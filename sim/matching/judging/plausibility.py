@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import ConfigError
+from fpplab.core.geometry import Pinhole
+from fpplab.devices import ProjectorCaps
 from fpplab.diagnosis import Finding
 from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
 from fpplab.diagnosis.causes.of_matching_and_search import UNLIKE_IMAGES
@@ -51,23 +53,19 @@ class PlausibilityLimits:
 LIMITS = PlausibilityLimits()
 
 
-def check_devices(twin: Twin, session: Session) -> None:
-    """Refuse a session of another camera or projector."""
-    calibration = twin.parameters.calibration
+def check_devices(camera: tuple[int, int], projector: Pinhole | ProjectorCaps, session: Session) -> None:
+    """Refuse a session of another camera, by its size, or of another projector than the twin's."""
     width, height, _ = session.format
     size, lattice = session.projector()
-    if (width, height) != calibration.camera.size:
+    if (width, height) != camera:
         raise ConfigError(
             f"{session.path}: the bench's camera has {width} x {height} pixels, the twin's "
-            f"{calibration.camera.size[0]} x {calibration.camera.size[1]}; name this bench's twin, or set "
-            "its binning"
+            f"{camera[0]} x {camera[1]}; name this bench's twin, or set its binning"
         )
-    if size != calibration.projector.size or lattice is not calibration.projector.lattice:
+    if (size, lattice) != (projector.size, projector.lattice):
         raise ConfigError(
             f"{session.path}: the bench's projector has {size[0]} x {size[1]} mirrors, {lattice}, the twin's "
-            f"{calibration.projector.size[0]} x {calibration.projector.size[1]}, "
-            f"{calibration.projector.lattice}; name this "
-            "bench's twin"
+            f"{projector.size[0]} x {projector.size[1]}, {projector.lattice}; name this bench's twin"
         )
 
 

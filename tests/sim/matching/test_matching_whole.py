@@ -24,7 +24,13 @@ from sim.matching.match import MatchingLimits, match_twin
 from sim.matching.page import write_matching_report
 from sim.matching.record import MatchingRecord
 from sim.matching.reference import Reference
-from sim.matching.run import MatchingRequest, MatchingResult, match_sessions, with_reference_geometry
+from sim.matching.run import (
+    MatchingListener,
+    MatchingRequest,
+    MatchingResult,
+    match_sessions,
+    with_reference_geometry,
+)
 from sim.matching.samples import sample_pixels
 from sim.matching.steps import MatchingContext, MatchingStep
 from sim.parameters import TwinParameters
@@ -224,7 +230,8 @@ def test_a_step_is_ended_when_the_time_is_over(
         wanted = MatchingRequest(limits=MatchingLimits(epochs=2, seconds=seconds))
         twin = PlaneTwin(nominal(()), 7)
         sessions, out = matching.sessions[:3], tmp_path / "out"
-        return match_sessions(twin, sessions, TARGET, out, wanted, progress=shares.append, tell=words.append)
+        listener = MatchingListener(shares.append, tell=words.append)
+        return match_sessions(twin, sessions, TARGET, out, wanted, listener)
 
     first = matched(40.0)
     assert first.matched.ended.startswith("after 4")
