@@ -1,7 +1,5 @@
 """Questions to a library in a process of its own, where it can neither crash nor block this one."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import sys

@@ -1,7 +1,5 @@
 """Clocks that a driver and an emulated device share: real time, or simulated time for tests."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from typing import Protocol

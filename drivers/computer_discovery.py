@@ -1,7 +1,5 @@
 """Discovery of what the computer itself offers: displays, V4L2 cameras, and GenTL producers."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

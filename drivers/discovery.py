@@ -4,8 +4,6 @@ Nothing is sent to a device. USB itself is queried through pyusb: the speed of e
 device is present that its own library does not list. docs/hardware.md explains how to grant permissions.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace

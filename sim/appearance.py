@@ -1,7 +1,5 @@
 """How a bench looks in its recordings, in addition to its numbers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The virtual bench: one simulated world, and the state of everything in it that moves."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager

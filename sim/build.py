@@ -1,7 +1,5 @@
 """Build the scene that Blender is sent from a world and the state of its moving parts."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

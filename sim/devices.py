@@ -1,7 +1,5 @@
 """The four devices of a rig over one simulated world, see `sim.bench`."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace

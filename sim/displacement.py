@@ -4,8 +4,6 @@ Pictures of the item at rest and displaced along each axis once serve any number
 frame would need a render of its own. Displacements are a small part of a pixel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A preview as a .blend file, written by a Blender process."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -3,8 +3,6 @@
 Its modules import each other by relative names, which hold in the archive too.
 """
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 from typing import BinaryIO

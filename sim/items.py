@@ -1,7 +1,5 @@
 """Items of the world file as surfaces, and the poses that the fixture holds them in."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache

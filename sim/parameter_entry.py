@@ -1,7 +1,5 @@
 """An entry of the table of parameters that a matching may change; see `sim.parameters`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

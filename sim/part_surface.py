@@ -1,7 +1,5 @@
 """What the surface of a part does to light, as it is matched to a scan and given to a simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Random poses of a board, from a seed, in which camera and projector see it whole."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from itertools import count
 

@@ -1,7 +1,5 @@
 """A simulated rig as the Blender extension shows it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A scan of what the Blender extension shows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from fpplab.calibration.model import Calibration

@@ -23,8 +23,6 @@ Sources: CIE 018:2019 for lumens; Born & Wolf, Principles of Optics, 7th ed., 4.
 & Shirley (2013) for V(λ).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Frames of parts of the image alone, for predictions: light, sensor and vibration of whole frames."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

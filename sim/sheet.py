@@ -1,7 +1,5 @@
 """What a bench shows beyond its numbers, as surfaces and files: the sheet of its board, its surroundings."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Scenes for data sets: any item before the simulated devices, and the ground truth of the scene."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Protocol
 

@@ -17,8 +17,6 @@ phase p in [0, 1). Its n whole periods hold n times the plane's duration d; the 
 plane in this period, [o, o + d], and in the next, [o + 1, o + 1 + d].
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from fpplab.core.conventions import Floats

@@ -5,8 +5,6 @@ measurement is predicted; numba keeps what it compiled next to the sources. The 
 change of the sources the next measurement does.
 """
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -5,8 +5,6 @@ socket, pictures through anonymous shared memory: it has no name, so nothing can
 process is killed, and it does not depend on the size of /dev/shm.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import re

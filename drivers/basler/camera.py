@@ -1,7 +1,5 @@
 """A Basler camera behind the interface of `fpplab.devices`."""
 
-from __future__ import annotations
-
 import gc
 import logging
 import time

@@ -9,8 +9,6 @@ Source: Basler, User's Manual for GigE Vision cameras (AW000893) and for USB 3.0
 on gain; Basler product documentation, parameter reference.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ destroyed. An array that keeps the grab result alive therefore owns its pixels. 
 limited: where they run short the pixels are copied instead.
 """
 
-from __future__ import annotations
-
 from typing import Any, cast
 from weakref import WeakSet
 

@@ -1,7 +1,5 @@
 """The section of a Basler camera in a rig file; docs/hardware.md shows an example."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

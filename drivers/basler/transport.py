@@ -1,7 +1,5 @@
 """Access to pylon's transport layers; an emulated bench substitutes its own."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A projector with a display input as a projector of a rig: a second screen of the computer, shown 1:1."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Literal

@@ -1,7 +1,5 @@
 """A display of this computer that holds one frame at a time: of a projector, or of its video port."""
 
-from __future__ import annotations
-
 import multiprocessing
 from contextlib import suppress
 from multiprocessing.connection import Connection

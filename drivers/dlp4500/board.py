@@ -5,8 +5,6 @@ Commands are sent, awaited, and their effect is verified. Every wait has a time 
 Source: TI's DLPC350 client, GUI and SDK, and what their users report. Not yet tested on a board.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ Every wait has a time limit.
 Source: TI's DLPC350 client, GUI and SDK, and what their users report. Not yet tested on a board.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 

@@ -1,7 +1,5 @@
 """The LightCrafter 4500 as a projector of a rig, with its patterns in flash or from the video port."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`fpplab dlp4500 build|upload`: patterns in the projector's flash."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated

@@ -9,8 +9,6 @@ carry the command, as clients written for the board expect it; nothing depends o
 Source: TI's DLPC350 client (API 4.0) and its recorded packets. Not yet tested on a board.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Patterns in the projector's flash."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

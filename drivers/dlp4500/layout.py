@@ -5,8 +5,6 @@ in a number: everything multi-byte is little-endian. Values are checked both whe
 so that neither a wrong call nor a wrong reply goes unnoticed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The display holds one frame, and the projector takes the patterns from it. Neith
 other: whatever delays a frame, no pattern is shown in place of another.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import groupby
 

@@ -1,7 +1,5 @@
 """Packing of patterns into the 24 bit planes of an image, for flash and video port."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 

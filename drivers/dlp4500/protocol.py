@@ -3,8 +3,6 @@
 Source: TI's DLPC350 client (API 4.0), GUI and SDK. Not yet tested on a board.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from enum import IntEnum
 

@@ -7,8 +7,6 @@ are shown, and loading must be complete when its first pattern is due.
 Source: TI's DLPC350 client, GUI and SDK. Not yet tested on a board.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise

@@ -6,8 +6,6 @@ echoes sequence number and flags is an assumption, supported by the guide of its
 disables the comparison, and then all waiting reports are discarded before each request.
 """
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 from drivers.clock import Clock

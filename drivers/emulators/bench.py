@@ -6,8 +6,6 @@ bench's time passes only while a driver waits for something, so that timing does
 computer's load. `configs/rig_emulated.yaml` is one. It tests the drivers, not a real board or camera.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """Light in the time of an emulated bench: what the projector emits, and what an open shutter collects."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The optics of an emulated bench: another rig, which projects patterns and captures images of them."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterable
 

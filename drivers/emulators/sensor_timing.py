@@ -5,8 +5,6 @@ previous frame, but must not end before that readout does, and the sensor needs 
 exposures.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """A pseudo-terminal with an emulated device at its far end: programs open it as they open a serial port."""
 
-from __future__ import annotations
-
 import os
 import select
 import threading

@@ -1,7 +1,5 @@
 """A camera with a GenICam node map behind the interface of `fpplab.devices`: all but its frames."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager

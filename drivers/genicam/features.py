@@ -7,8 +7,6 @@ enumeration has `GetSettableValues`, a switch has no `GetMin`, and integers are 
 their minimum.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from fpplab.core.errors import CapabilityError, SettingError

@@ -5,8 +5,6 @@ some models, and the rig file states it for others. Without either only the lowe
 counts as 0 dB.
 """
 
-from __future__ import annotations
-
 import math
 
 from drivers.genicam.features import Features

@@ -3,8 +3,6 @@
 Source: GenICam Standard Features Naming Convention (SFNC) 2.7; Basler's parameter reference for SFNC 1 names.
 """
 
-from __future__ import annotations
-
 from drivers.genicam.features import FeatureNames
 
 US_PER_S = 1e6  # genICam states times in µs (Standard Features Naming Convention)

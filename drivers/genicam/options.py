@@ -1,7 +1,5 @@
 """What the section of every GenICam camera in a rig file may contain."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator

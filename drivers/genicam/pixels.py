@@ -3,8 +3,6 @@
 The names are those of GenICam's Pixel Format Naming Convention (PFNC).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numba

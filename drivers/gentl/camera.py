@@ -4,8 +4,6 @@
 be set, `TriggerSelector` with `FrameStart`, and monochrome pixels.
 """
 
-from __future__ import annotations
-
 import time
 from contextlib import suppress
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """The cameras of a GenTL producer, for the list of connected devices."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path

@@ -4,8 +4,6 @@ So `drivers.genicam.features` uses either. A node that the camera does not imple
 does not offer in its present mode is neither readable nor writable.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from genicam import genapi

@@ -1,7 +1,5 @@
 """The section of a GenTL camera in a rig file; docs/hardware.md shows an example."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from drivers.genicam.options import GenicamOptions

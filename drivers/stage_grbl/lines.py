@@ -6,8 +6,6 @@ Every line is of one kind, recognised by its beginning: an answer to the one lin
 Source: GRBL's interface documentation, `doc/markdown/interface.md` and `doc/csv` of github.com/gnea/grbl.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

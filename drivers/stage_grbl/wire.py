@@ -5,8 +5,6 @@ overflow and an answer cannot be taken for that of another line. A missing answe
 anything that is not part of GRBL's protocol.
 """
 
-from __future__ import annotations
-
 import time
 from collections import deque
 

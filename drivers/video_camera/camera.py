@@ -5,8 +5,6 @@ whose exposure began after the call is delivered, and earlier ones are dropped. 
 frames would not be the sensor's own integers, or where it chooses the exposure itself.
 """
 
-from __future__ import annotations
-
 import errno
 import time
 from collections.abc import Iterator

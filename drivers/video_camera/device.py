@@ -3,8 +3,6 @@
 Methods raise `OSError` as the kernel does.
 """
 
-from __future__ import annotations
-
 import errno
 import mmap
 import os

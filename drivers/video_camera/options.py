@@ -1,7 +1,5 @@
 """The section of a video camera in a rig file; docs/hardware.md shows an example."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

@@ -3,8 +3,6 @@
 Source: Linux, Documentation/userspace-api/media/v4l and include/uapi/linux/videodev2.h.
 """
 
-from __future__ import annotations
-
 import ctypes
 from ctypes import Structure, c_char, c_int32, c_int64, c_uint8, c_uint32, c_uint64
 

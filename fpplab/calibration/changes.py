@@ -1,7 +1,5 @@
 """Changes of a rig since its characterisation: what people would call them, as changes of the parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

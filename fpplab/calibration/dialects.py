@@ -11,8 +11,6 @@ Kalibr, wiki, "yaml formats"; ROS, `sensor_msgs/CameraInfo` and `geometry_msgs/T
 model representation".
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

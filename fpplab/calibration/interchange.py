@@ -12,8 +12,6 @@ column (`fpplab.core.conventions`); a program that ignores the half column measu
 a column too little, and so does its principal point. Characterise again where a quarter of a column matters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Calibrations that no pair of devices can have, refused where they come in."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

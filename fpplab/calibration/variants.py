@@ -8,8 +8,6 @@ Source: J. Wilm, SLStudio, `CalibrationData.cpp`; MathWorks, "stereoParametersFr
 `sensor_msgs/CameraInfo`.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Diagnosis of target files that describe another board than the one in the images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

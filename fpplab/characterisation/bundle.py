@@ -5,8 +5,6 @@ known (Triggs et al., "Bundle adjustment: a modern synthesis", 2000). How large 
 estimated from the residuals themselves, as variance components.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

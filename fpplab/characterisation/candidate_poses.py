@@ -1,7 +1,5 @@
 """Poses of a board to choose from: over the field, the depth and the tilts that both devices see."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import product
 

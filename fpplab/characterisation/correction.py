@@ -9,8 +9,6 @@ lenses that may have changed is tried, and the results are averaged by their pro
 averaging); where several fit, their differences are part of the covariance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations

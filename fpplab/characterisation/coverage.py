@@ -1,7 +1,5 @@
 """Advice to the operator on the poses of a board: what to add before leaving the bench."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -6,8 +6,6 @@ size is estimated like those of all errors. The calibration then is that of the 
 the last pose, and as uncertain as this step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ Zhang's method for each device, then the pose between them, then everything toge
 (`fpplab.characterisation.bundle`), without outliers, and validated with poses that were not fitted.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Guide through a characterisation: which pose next, whether one fits the others, what is known by now."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

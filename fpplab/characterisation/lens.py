@@ -1,7 +1,5 @@
 """Whether the camera's lens kept its scale from pose to pose of a characterisation."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

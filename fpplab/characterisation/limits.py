@@ -1,7 +1,5 @@
 """Limits by which a characterisation accepts, rejects and warns, as one value."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 

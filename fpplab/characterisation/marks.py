@@ -6,8 +6,6 @@ judged as a board whose points are where the calibration triangulated them. The 
 the same both times and cancel; the noise of both times counts.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Outliers: poses in which something moved, and points that were located wrongly."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Points of a board that another program located in camera and projector: a table, one point a row."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A pose of a board in words for the person who holds it, and as an outline in the camera's image."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fpplab.characterisation.candidate_poses import TILT_DEG

@@ -6,8 +6,6 @@ board, and κ the share that is carried, the projector's residual less κ A time
 of the camera's. Each residual is divided by the standard deviation of its kind.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Result of a characterisation, and its quality."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any

@@ -18,8 +18,6 @@ Besides focal lengths and baseline, the points that the devices measure are comp
 moved in space (place), and by how much their form changes, all rigid motion removed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

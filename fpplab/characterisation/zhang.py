@@ -4,8 +4,6 @@ Z. Zhang, "A flexible new technique for camera calibration", 2000, with k1 k2 p1
 point: the root of the mean squared distance in px.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

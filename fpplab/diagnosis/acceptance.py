@@ -1,7 +1,5 @@
 """Whether an acceptance test shows a system that may be used, and what its errors come from."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

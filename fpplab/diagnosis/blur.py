@@ -1,7 +1,5 @@
 """How blurred fringes and edges are, by which two lenses out of focus are distinguished."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Brightness of whole frames, which neither fringes nor harmonics of the response should change."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

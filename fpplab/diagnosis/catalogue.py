@@ -4,8 +4,6 @@ A module defines one cause, or the causes that one stage of work reports. Adding
 verdicts, documentation and reports: nothing else has to name them.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from importlib import import_module
 from pathlib import Path

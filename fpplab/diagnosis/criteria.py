@@ -1,7 +1,5 @@
 """The named criteria of a verdict: what was measured on a scan, compared with what a good one has."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Looking for all causes in what is known of a scan."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from fpplab.diagnosis.catalogue import known_causes

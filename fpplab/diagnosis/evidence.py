@@ -1,7 +1,5 @@
 """What a diagnosis is made of: frames, points, and what further frames of a check have shown."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum

@@ -1,7 +1,5 @@
 """Limits of the exposure, and by what to multiply it."""
 
-from __future__ import annotations
-
 import math
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Phases of wide fringes compared with those that the coordinate gives, and what errors of the phase cost."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Whether the rig was still as it was characterised when a scan was taken."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -6,8 +6,6 @@ measured (on what) or chosen. "Benches of the limits" are the simulated benches 
 in `benchmarks.diagnosis`; on others, 100 scans without a fault had no finding.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, TypeVar

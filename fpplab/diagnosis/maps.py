@@ -1,7 +1,5 @@
 """Whether to believe points of maps that another program decoded, without its frames."""
 
-from __future__ import annotations
-
 from fpplab.clouds import Cloud
 from fpplab.diagnosis.causes.stale_calibration import STALE_CALIBRATION, StaleCalibrationLimits
 from fpplab.diagnosis.finding import Finding

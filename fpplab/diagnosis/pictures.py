@@ -1,7 +1,5 @@
 """Figures that several causes share, and what they draw with. Imported only where a picture is drawn."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Points of a scan, and what the calibration says of the place where they are."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

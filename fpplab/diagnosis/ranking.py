@@ -1,7 +1,5 @@
 """Which finding comes first: causes before what they bring about, and then by their excess."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

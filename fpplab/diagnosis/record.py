@@ -1,7 +1,5 @@
 """The verdict on a scan as a file inside its session, so that later reports need not judge again."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any

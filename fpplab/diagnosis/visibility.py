@@ -1,7 +1,5 @@
 """How clearly frames show fringes: whether the projector lights what the camera sees."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The scene of `sim.scene` as objects in Blender, and how Cycles renders it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The camera: distortion and aperture for every ray, through any point of the pixels and of the lens."""
 
-from __future__ import annotations
-
 import hashlib
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Write a preview as a .blend file: `python -m sim.blender.export PREVIEW OUT`."""
 
-from __future__ import annotations
-
 import sys
 
 import bpy

@@ -1,7 +1,5 @@
 """NumPy arrays as Blender's images."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

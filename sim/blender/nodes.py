@@ -1,7 +1,5 @@
 """Arithmetic as a shader node tree."""
 
-from __future__ import annotations
-
 from typing import Any
 
 

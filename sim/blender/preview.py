@@ -1,7 +1,5 @@
 """A preview as a scene in Blender: built, set up for viewing, and rendered as the twin's camera sees it."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Iterator

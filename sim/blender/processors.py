@@ -1,7 +1,5 @@
 """The devices that Cycles computes on."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

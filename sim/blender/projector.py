@@ -4,8 +4,6 @@ Every mirror gives the same flux, so a plane perpendicular to the axis is illumi
 intensity grows as 1/cos³ of the angle to the axis.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A scene in Blender, rebuilt for every texture, so that no stale data can be rendered."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

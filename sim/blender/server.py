@@ -4,8 +4,6 @@ Started as `python -m sim.blender.server SOCKET MEMORY` with two inherited file 
 socket is closed, whatever it is doing, so that it never outlives the process that started it.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import select

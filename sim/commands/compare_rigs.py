@@ -1,7 +1,5 @@
 """`fpplab compare-rigs`: a bench and its twin on one scan."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

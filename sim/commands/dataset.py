@@ -1,7 +1,5 @@
 """`fpplab dataset`: labelled captures of random scenes, for machine learning."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

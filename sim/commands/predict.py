@@ -1,7 +1,5 @@
 """`fpplab predict`: what a measurement will give, by a twin."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """`fpplab twin extension|describe|record|export`: simulated rigs in Blender."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

@@ -4,8 +4,6 @@
 request, so the card also shows whether a folder holds the data set that is to be made, or another one.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import asdict

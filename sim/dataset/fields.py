@@ -1,7 +1,5 @@
 """The arrays of a sample: names, shapes and meanings, and which are recorded, measured or true."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

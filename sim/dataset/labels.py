@@ -1,7 +1,5 @@
 """Ground truth at the centre of every pixel, from the shapes and device models; nothing here is measured."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reads a data set sample by sample, with the indexing of PyTorch's map-style data sets."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Iterable
 from functools import cached_property

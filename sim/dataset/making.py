@@ -1,7 +1,5 @@
 """Makes a data set on a rig with a simulation: scene by scene, captured with the rig's own devices."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass

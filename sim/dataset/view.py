@@ -1,7 +1,5 @@
 """A data set as it grows: frames, labels and what was drawn for each sample."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -4,8 +4,6 @@ They stand still, so their table is traced once for each pose of the item. What 
 on the item is left out, as all light by way of other surfaces is on the path `transport`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A basis of few light distributions from which every pattern follows by linear combination."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Sizes are the same for all items, so that a board that moves, or a lens that is 
 blurred before. What is blurred is where the item is and where its ground is; reflectances come in afterwards.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import OrderedDict

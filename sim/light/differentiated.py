@@ -1,7 +1,5 @@
 """Computed light with its derivatives, for an item in one pose."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

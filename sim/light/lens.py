@@ -7,8 +7,6 @@ passes its centre, and edges are blurred symmetrically. The points' covariance i
 are correlated with the places in the pixel as little as possible.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -5,8 +5,6 @@ up first, in a window of a few texels, and the window is multiplied by the level
 of once for every sample.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from numpy.typing import NDArray

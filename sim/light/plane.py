@@ -16,8 +16,6 @@ far as the variance of the sum allows. Few samples then reproduce an edge as ver
 pixels.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Rays of the camera shader `sim/blender/camera.osl`, in double precision."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

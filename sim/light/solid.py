@@ -10,8 +10,6 @@ plane, in double precision. With the unit normal n of the triangle and depth z b
 where camera and lamp are on the same side of the triangle and nothing is between lamp and point.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numba

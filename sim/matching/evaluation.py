@@ -1,7 +1,5 @@
 """Evaluation of a twin: expected images are compared with the reference, noisy frames characterised."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass

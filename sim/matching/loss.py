@@ -6,8 +6,6 @@ The SSIM is the standard one with levels from 0 to full scale.
 Source: Wang et al., "Image quality assessment", 2004.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

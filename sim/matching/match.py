@@ -4,8 +4,6 @@ The steps are those of `sim.matching.steps`; each is one epoch. The last ones ar
 the loss nor any parameter changes by more than it is uncertain.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

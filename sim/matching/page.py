@@ -1,7 +1,5 @@
 """A matching as a page: the paper's table, the loss by epoch, what each effect explains, and images."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Surfaces of parts, matched to scans together with a board, or on a twin that is matched already."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -4,8 +4,6 @@ What is accepted stays with the twin: it is a note of its rig file, which every 
 prints.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from fpplab.core.errors import CalibrationError, ConfigError

@@ -1,7 +1,5 @@
 """What a matching found: the twin before and after, and how both compare with the bench."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

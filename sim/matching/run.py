@@ -1,7 +1,5 @@
 """A complete matching: from recorded sessions to a twin that runs in every command, and its figures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Samples of the bench's recordings, to which the twin's light is fitted: pixels of the board's images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol

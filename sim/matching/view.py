@@ -1,7 +1,5 @@
 """A matching as it goes: images of bench and twin with their difference, the loss by epoch, both devices."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

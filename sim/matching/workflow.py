@@ -1,7 +1,5 @@
 """What `fpplab match` does: match a twin to a bench, or surfaces of parts on a twin that is matched."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

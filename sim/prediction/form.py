@@ -5,8 +5,6 @@ left a distance from a surface shows the part along its normal alone. It adds to
 that a small deformation hardly matters next to a large noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Intervals of predicted figures: what is not known of the bench, drawn many times."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

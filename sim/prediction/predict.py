@@ -5,8 +5,6 @@ the sensor's noise drawn again for every draw. They are decoded, triangulated an
 so that the prediction is that of a whole synthesis but for the sample.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """How pictures of a world are rendered."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

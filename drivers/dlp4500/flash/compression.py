@@ -5,8 +5,6 @@ An image is uint8 (height, width, 3), its pixels in the order stored.
 Source: TI's DLPC350 client.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

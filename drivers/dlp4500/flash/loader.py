@@ -7,8 +7,6 @@ single byte is that byte.
 Source: TI's DLPC350 client and GUI. Tested on an emulated flash only, not yet on a board.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 

@@ -1,7 +1,5 @@
 """Layout of the LightCrafter 4500's flash: its sectors, and its address in the controller's memory."""
 
-from __future__ import annotations
-
 import numpy as np
 
 SECTOR = 0x20000  # bytes that are erased together, as TI's GUI knows the evaluation module's flash

@@ -8,8 +8,6 @@ that was interrupted continues where it was, from any computer. The sector with 
 when the images move, which they do once: from their place in TI's file.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 

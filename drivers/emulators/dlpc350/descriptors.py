@@ -7,8 +7,6 @@ second interface with endpoints of its own, full speed, names, version numbers a
 Source: USB 2.0, chapter 9; HID 1.11, sections 6.2 and 7.
 """
 
-from __future__ import annotations
-
 import struct
 from enum import IntEnum
 

@@ -1,7 +1,5 @@
 """State of the emulated controller, and the light and trigger pulses that come of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Self, TypeVar

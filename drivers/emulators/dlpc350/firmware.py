@@ -4,8 +4,6 @@ It does what the maker's client, GUI and SDK show of the firmware; where they ar
 `Dlpc350Policy`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 

@@ -5,8 +5,6 @@ The reader shares no code with the builder of flash images in the driver, so tha
 Source: Layout as TI's client reads it.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 

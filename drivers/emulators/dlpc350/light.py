@@ -1,7 +1,5 @@
 """From the bit planes of an image to the light that leaves the lens."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -3,8 +3,6 @@
 The loader's commands are defined here independently of the driver, so that each verifies the other.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from typing import NoReturn

@@ -4,8 +4,6 @@ The caller gives the time. Nothing happens outside of `advance`, which does in o
 of a pattern are reported when it begins, with the times of their edges.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

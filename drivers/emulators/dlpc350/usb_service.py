@@ -1,7 +1,5 @@
 """An emulated LightCrafter on this computer's USB, to learn its commands or to try a rig file."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

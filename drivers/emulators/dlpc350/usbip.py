@@ -7,8 +7,6 @@ are assumptions (see `descriptors`).
 Source: Linux, Documentation/usb/usbip_protocol.rst and drivers/usb/usbip/vhci_sysfs.c.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import select

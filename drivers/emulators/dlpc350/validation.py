@@ -1,7 +1,5 @@
 """Validation of a pattern sequence by the controller. Which cause sets which bit is in part an assumption."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The emulated controller's video port, and the display of a computer that is connected to it."""
 
-from __future__ import annotations
-
 import math
 from typing import Protocol
 

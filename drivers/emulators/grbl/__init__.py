@@ -4,8 +4,6 @@ It follows GRBL's documentation and source (github.com/gnea/grbl) in what the st
 understands the lines that the driver sends and no others. It is no evidence of how a real stage behaves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """The GRBL controller: lines, real-time commands, states and reports."""
 
-from __future__ import annotations
-
 import math
 import re
 import time

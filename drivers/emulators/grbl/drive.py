@@ -1,7 +1,5 @@
 """Motors and rail: the position that the controller counts, and where the carriage really is."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

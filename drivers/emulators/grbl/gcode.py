@@ -5,8 +5,6 @@ leaves out is as another program has left it, so that a driver that relies on it
 a real controller. Everything else is refused as unsupported (error 20).
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

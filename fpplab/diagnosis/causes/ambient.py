@@ -1,7 +1,5 @@
 """Light that does not come from the projector."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

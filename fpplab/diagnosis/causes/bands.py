@@ -1,7 +1,5 @@
 """The brightness of rows differs from frame to frame."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """Edges and fringes are equally blurred."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from fpplab.diagnosis.blur import BlurLimits, phase_error_of_blur

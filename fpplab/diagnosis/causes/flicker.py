@@ -1,7 +1,5 @@
 """Frames differ in brightness."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """Something of the frame before is left in each frame."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The fringes are bent as no power law bends them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from fpplab.diagnosis.causes.response import ResponseLimits, harmonics_share, unexplained_harmonics_rad

@@ -1,7 +1,5 @@
 """Parts of the scene light each other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

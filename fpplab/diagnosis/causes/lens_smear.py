@@ -1,7 +1,5 @@
 """A part of the image is blurred by something on a lens."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

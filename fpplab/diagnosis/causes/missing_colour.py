@@ -1,7 +1,5 @@
 """Every third image is dark: one colour of the images that carry three patterns."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The projector lights next to nothing of what the camera sees."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Causes that an acceptance test reports; `fpplab.diagnosis.acceptance` looks for them."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from fpplab.core.config import Positive

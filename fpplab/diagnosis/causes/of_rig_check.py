@@ -1,7 +1,5 @@
 """Causes that `fpplab check` reports of devices, synchronisation and further frames."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 from typing import Any

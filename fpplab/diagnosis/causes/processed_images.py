@@ -1,7 +1,5 @@
 """The images were compressed or filtered after the sensor."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """No fringes in the image."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from fpplab.diagnosis.evidence import Evidence, Needs

@@ -1,7 +1,5 @@
 """The projector's picture walks, as while it warms up."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fringes are blurred, edges are not."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from fpplab.diagnosis.evidence import Evidence, Needs

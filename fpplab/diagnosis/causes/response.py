@@ -1,7 +1,5 @@
 """The fringes are no sinusoids."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

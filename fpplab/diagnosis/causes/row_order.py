@@ -1,7 +1,5 @@
 """Rows or columns of the images are interchanged, or moved around the end."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The image is at its full scale."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Camera and projector look from nearly the same direction."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rig is no longer the one that was calibrated."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

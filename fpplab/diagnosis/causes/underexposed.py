@@ -1,7 +1,5 @@
 """The image uses a small part of its range."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The finest stripes are too narrow for the camera's pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

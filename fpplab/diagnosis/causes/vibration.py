@@ -1,7 +1,5 @@
 """The scene moved between the fringe sets."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The fringes' coordinate hardly changes with depth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Coordinates run otherwise along the image than the calibration says."""
 
-from __future__ import annotations
-
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.plan.limits import PlanCheckLimits

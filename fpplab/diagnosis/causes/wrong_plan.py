@@ -1,7 +1,5 @@
 """The plan does not describe the images."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The picture is scaled before it is shown, or the lattice of mirrors is another."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import cv2

@@ -5,8 +5,6 @@ error of the phase that repeats N times in a fringe, whatever the order of the s
 response is found before the plan is judged.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,8 +4,6 @@ At the edge of a cell one bit alone is half lit. With images in another order, w
 differ in several bits, and the half-lit levels fit no code: the likelihood of the frames falls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import combinations
 

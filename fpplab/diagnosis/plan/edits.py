@@ -1,7 +1,5 @@
 """Mistakes that people make in plans, each as the edit that corrects it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -5,8 +5,6 @@ the image and rows down, a coarsest set of one stripe (or whole numbers of strip
 ratios) whose phase has no origin.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Limits by which a plan is called wrong, another one right, or one is guessed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from fpplab.core.config import Positive

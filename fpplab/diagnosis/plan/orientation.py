@@ -4,8 +4,6 @@ The sets agree under all of them, so that only the geometry decides. Along one a
 then nothing is advised that would put points at wrong places without a sign of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """The Blender extension: a simulated rig in the scene, its scans, its clouds, and twins of real benches."""
 
-from __future__ import annotations
-
 import bpy
 
 from . import data, jobs

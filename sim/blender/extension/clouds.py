@@ -1,7 +1,5 @@
 """Measured points in the scene, in the colours of their errors."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import bpy

@@ -1,7 +1,5 @@
 """What the extension adds to the open file: tagged, in a scene of its own, and removed as a whole."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any

@@ -1,7 +1,5 @@
 """What the buttons of the panel do."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, ClassVar
 

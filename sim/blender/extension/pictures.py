@@ -1,7 +1,5 @@
 """Grey levels as an image of Blender."""
 
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from numpy.typing import NDArray

@@ -5,8 +5,6 @@ plane. Fitted to images as if it were flat, a bent board would be taken for othe
 what the bend changes in the images is computed to first order, and taken off.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from fpplab.core.conventions import Floats, PixelIndices

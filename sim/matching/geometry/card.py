@@ -1,7 +1,5 @@
 """Pose of the grey card for which the response was measured, from the bench's scan of it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fpplab.calibration.model import Calibration

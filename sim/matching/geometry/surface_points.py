@@ -5,8 +5,6 @@ A ray of the camera meets the board's plane z = 0 at (x, y) in mm in the board's
 implicit function theorem, of the rest by the chain rule.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from fpplab.calibration.model import Calibration

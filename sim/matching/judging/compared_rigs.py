@@ -4,8 +4,6 @@ With its own calibration a rig hides what is wrong with it; with the other's it 
 describe the same bench.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ scans; distance and completeness in scans. Bench and twin are measured the same 
 fringes in scans is fitted, their noise and distance are not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

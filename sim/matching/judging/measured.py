@@ -3,8 +3,6 @@
 The shape is aligned with the points, for where a part stood is not known as well as it is measured.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 What recordings show is checked before the work starts; what only the matched twin shows is a finding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

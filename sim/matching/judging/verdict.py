@@ -1,7 +1,5 @@
 """Whether to believe a matched twin: by the recordings that it was fitted to, and by what the fit left."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ face that is turned away by its normal n, lamps of any number give more or less 
 (Lambert's law), which is fitted to every scan and taken off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -5,8 +5,6 @@ determined: the level of the board's ground by `white` (or by `paper`, where whi
 the reflectance of its print, ambient light, and the camera's black level.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

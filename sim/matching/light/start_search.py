@@ -5,8 +5,6 @@ distance, as even ambient light does not: for each of a grid of directions the l
 irradiance, so that the best direction is found by least squares. `light_fit.fit_light` goes on from there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

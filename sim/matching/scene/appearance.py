@@ -4,8 +4,6 @@ Both are found once geometry and light are matched, and proven in a pose from wh
 part that does not make the twin's images of it more similar is left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any

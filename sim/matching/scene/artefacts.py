@@ -5,8 +5,6 @@ calibration and compared with the true shape by the symmetric distance between p
 the artefact on the bench is found by aligning its true shape with the bench's cloud.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass

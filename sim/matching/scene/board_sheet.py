@@ -7,8 +7,6 @@ twin's sheet is blank: as far as the bench's levels follow the same fringes and 
 sheet there as well, and a frame where they are dark.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

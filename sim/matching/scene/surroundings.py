@@ -8,8 +8,6 @@ over all images of a pose and the median over the poses: what hides or shades a 
 count. A surface is believed to be matt, and light that reaches it by way of others counts as its own.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Matt paint."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from sim.scene import Paint, matt

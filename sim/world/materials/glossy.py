@@ -1,7 +1,5 @@
 """Matt paint under a gloss coat."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

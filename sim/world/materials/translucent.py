@@ -1,7 +1,5 @@
 """Bodies that light enters."""
 
-from __future__ import annotations
-
 from typing import ClassVar, Literal
 
 from fpplab.core.config import Positive
