@@ -15,9 +15,8 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from sim.build import SceneState, build_scene, is_lit_in_view
-from sim.displacement import displaced, displaced_irradiance, displacement_mm
 from sim.effects import EFFECTS
-from sim.fluctuation import Fluctuation
+from sim.fluctuation import Fluctuation, displaced, displaced_irradiance, displacement_mm
 from sim.items import item_poses
 from sim.light import Light, PatternLevels, ShownPattern
 from sim.sampling import ImagePartSampler

@@ -1,19 +1,23 @@
-"""Light that changes from frame to frame, by all effects of a world together.
+"""What changes from frame to frame, by all effects of a world together: light, and the place of the item.
 
 The random numbers of a frame's light follow from the world's seed and the number of the frame; all effects
-draw from them, one after another in their order.
+draw from them, one after another in their order. Pictures of the item at rest and displaced along each axis
+once serve any number of frames, since displacements are a small part of a pixel: to first order.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
+from fpplab.core.geometry import RigidTransform
+from sim.build import SceneState
 from sim.effects import EFFECTS, FrameOfSequence
-from sim.light import PatternLevels
+from sim.light import Light, PatternLevels, ShownPattern
 from sim.world import World
 
 
@@ -45,3 +49,33 @@ class Fluctuation:
         changed: PatternLevels = np.float32(projector) * (picture - ambient)
         changed += room.astype(np.float32)[:, None] * ambient
         return np.maximum(changed, 0, out=changed)
+
+
+def displacement_mm(world: World, random: np.random.Generator, number: int, *sequence: int) -> Floats:
+    """Draw by how much all effects displace the item in a frame; sequence: numbers of what it belongs to."""
+    # returns (3,) mm
+    frame = FrameOfSequence(number, sequence)
+    moves = [effect.displacement_mm(world, frame, random) for effect in EFFECTS]
+    return np.asarray(np.sum(moves, axis=0))
+
+
+def displaced(setup: SceneState, pose: RigidTransform, step_mm: float) -> tuple[SceneState, ...]:
+    """Displace the item of a set-up along each of the camera's axes."""
+    # Callers should reuse the result for later frames, because `Light` caches pictures by these set-ups.
+    return tuple(replace(setup, held=pose.moved(step_mm * axis)) for axis in np.eye(3))
+
+
+def displaced_irradiance(
+    light: Light,
+    still: SceneState,
+    moved: Sequence[SceneState],
+    steps: Floats,
+    show: ShownPattern | None,
+    row_weights: Floats | None = None,
+) -> PatternLevels:
+    """Compute the irradiance of a displaced item to first order, from pictures of four set-ups."""
+    # steps (3,); returns (height, width)
+    picture = np.float32(1 - steps.sum()) * light.irradiance(still, show, row_weights)
+    for step, place in zip(steps.tolist(), moved, strict=True):
+        picture += np.float32(step) * light.irradiance(place, show, row_weights)
+    return np.maximum(picture, 0, out=picture)

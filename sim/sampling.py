@@ -12,8 +12,7 @@ from fpplab.devices import CameraSettings
 from fpplab.devices.simulation import Columns, Rows
 from fpplab.patterns.fringes import Pattern
 from sim.build import SceneState
-from sim.displacement import displaced, displacement_mm
-from sim.fluctuation import Fluctuation
+from sim.fluctuation import Fluctuation, displaced, displacement_mm
 from sim.items import item_poses, part_mesh
 from sim.light import Light, PatternLevels
 from sim.light.cache import ByteLimitedCache

@@ -31,8 +31,7 @@ from fpplab.patterns.fringes import Pattern
 from fpplab.targets import Target
 from sim.appearance import Appearance
 from sim.build import SceneState
-from sim.displacement import displaced, displaced_irradiance, displacement_mm
-from sim.fluctuation import Fluctuation
+from sim.fluctuation import Fluctuation, displaced, displaced_irradiance, displacement_mm
 from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, ShownPattern
 from sim.parameters import TwinParameters, parameters_of, world_of

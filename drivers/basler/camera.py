@@ -5,23 +5,36 @@ import logging
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
+from pydantic import Field
 from pypylon import genicam, pylon
 
 from drivers.basler.families import BASLER_RAW, family_of, raw_gain_of
 from drivers.basler.frames import SPARE_BUFFERS, BufferPool
-from drivers.basler.options import BaslerOptions
 from drivers.basler.transport import Pylon, lost_on_link
 from drivers.genicam import names as named
 from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera, message_of
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
+from drivers.genicam.options import GenicamOptions
 from drivers.genicam.pixels import PACKED
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DeviceError, DisconnectedError, FrameLossError
 from fpplab.core.files import write_text
 from fpplab.devices import DeviceInfo, Frame, State, Trigger
+
+
+class BaslerOptions(GenicamOptions):
+    """The camera's section in a rig file."""
+
+    packet_bytes: Annotated[int, Field(ge=1)] | None = None
+    """Size of an Ethernet camera's packets in bytes; by default unchanged."""
+    packet_delay_ticks: Annotated[int, Field(ge=0)] | None = None
+    """Pause between two packets of an Ethernet camera, in ticks of its clock; by default unchanged."""
+    features: str | None = None
+    """.pfs file with the camera's settings, loaded before all others, as saved by pylon Viewer."""
+
 
 _log = logging.getLogger(__name__)
 

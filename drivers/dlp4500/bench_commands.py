@@ -9,14 +9,36 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.dlp4500.program import NAME, EchoOption, ProjectorSerialOption, connect_projector, dlp4500
 from fpplab.cli import console
-from fpplab.cli.app import Json
+from fpplab.cli.app import INSTRUMENTS, Commands, Json
 from fpplab.core.confirmation import ConfirmationRequired, confirm, how_to_confirm
 from fpplab.core.errors import LimitError
 
 if TYPE_CHECKING:
     from drivers.dlp4500.controller import Controller
+    from drivers.dlp4500.transport import Link
+
+dlp4500 = typer.Typer(
+    cls=Commands,
+    no_args_is_help=True,
+    rich_help_panel=INSTRUMENTS,
+    help="The projector LightCrafter 4500 by itself.",
+)
+"""`fpplab dlp4500 …`."""
+
+NAME = "projector"  # the projector's name in errors
+
+ProjectorSerialOption = Annotated[
+    str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")
+]
+
+EchoOption = Annotated[
+    bool,
+    typer.Option(
+        "--echo/--no-echo",
+        help="Whether replies return number and flags of their request; not all boards may do so.",
+    ),
+]
 
 LedOption = Annotated[int, typer.Option(min=0, max=255, help="0 is off, 255 full.")]
 
@@ -27,6 +49,13 @@ class Power(StrEnum):
     ON = "on"
     OFF = "off"
     RESET = "reset"
+
+
+def connect_projector(serial: str | None, checks_echo: bool = True) -> Link:
+    from drivers.clock import RealClock
+    from drivers.dlp4500.transport import Link, connect, load_hidapi
+
+    return Link(connect(load_hidapi(NAME), NAME, serial)[0], RealClock(), NAME, checks_echo)
 
 
 @contextmanager

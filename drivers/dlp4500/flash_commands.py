@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from drivers.dlp4500.program import NAME, EchoOption, ProjectorSerialOption, connect_projector, dlp4500
+from drivers.dlp4500.bench_commands import NAME, EchoOption, ProjectorSerialOption, connect_projector, dlp4500
 from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out
 from fpplab.cli.completion import names_of

@@ -27,11 +27,17 @@ from drivers.emulators.dlpc350 import (
     Pulse,
     UsbFault,
 )
-from drivers.emulators.exposure import BenchClock, CollectedLight, EmulatedShutter, mean_pattern
+from drivers.emulators.exposure import (
+    STRICT,
+    BenchClock,
+    CollectedLight,
+    EmulatedShutter,
+    SensorTiming,
+    mean_pattern,
+)
 from drivers.emulators.grbl import GrblController, Rail
 from drivers.emulators.grbl.drive import DEFAULTS
 from drivers.emulators.optics import GreyImage, OpticsRig
-from drivers.emulators.sensor_timing import STRICT, SensorTiming
 from drivers.emulators.terminal import PseudoTerminal
 from fpplab.core import config
 from fpplab.core.config import Document

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from pypylon import genicam, pylon
 
-from drivers.emulators.exposure import CollectedLight, EmulatedShutter
+from drivers.emulators.exposure import STRICT, CollectedLight, EmulatedShutter, SensorTiming
 from drivers.emulators.pylon import READY_MS, EmulatedCamera, EmulatedPylon, PylonPolicy
-from drivers.emulators.sensor_timing import STRICT, SensorTiming
 from drivers.genicam.names import (
     LINE_INVERTER,
     TRIGGER_DELAY_US,

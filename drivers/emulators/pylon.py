@@ -26,7 +26,7 @@ from pypylon import genicam, pylon
 
 from drivers.basler.transport import Pylon
 from drivers.clock import ROUNDING_S
-from drivers.emulators.sensor_timing import STRICT, SensorTiming
+from drivers.emulators.exposure import STRICT, SensorTiming
 from drivers.genicam.features import Features
 from drivers.genicam.names import EXPOSURE_US, GAIN_DB, PIXEL_FORMAT, TRIGGER_MODE, TRIGGER_SOURCE, US_PER_S
 from fpplab.core.conventions import Image, raw_dtype

@@ -1,11 +1,11 @@
 """Any GenICam camera behind the interface of `fpplab.devices`, through a GenTL producer.
 
-`drivers.gentl.options` describes its section in a rig file. What the camera must have: an exposure that can
-be set, `TriggerSelector` with `FrameStart`, and monochrome pixels.
+The camera must have an exposure that can be set, `TriggerSelector` with `FrameStart`, and monochrome pixels.
 """
 
 import time
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, ClassVar
 
 from genicam import genapi, gentl
@@ -14,12 +14,20 @@ from drivers.genicam import names as named
 from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
+from drivers.genicam.options import GenicamOptions
 from drivers.genicam.pixels import PACKED
-from drivers.gentl.options import GentlOptions
 from drivers.gentl.producer import SPARE_BUFFERS, GentlFrame, GentlProducer
 from fpplab.core import config
 from fpplab.core.errors import CapabilityError, DisconnectedError, FrameLossError
 from fpplab.devices import CameraCaps, DeviceInfo, Frame, Trigger
+
+
+class GentlOptions(GenicamOptions):
+    """The camera's section in a rig file."""
+
+    producer: Path
+    """.cti file of the maker's GenTL producer."""
+
 
 READY_S = 0.1  # time in s after which a camera that does not report readiness counts as ready (chosen)
 WAITING = "FrameTriggerWait"

@@ -1,22 +1,24 @@
 """A video camera behind the interface of `fpplab.devices`.
 
-`drivers.video_camera.options` describes its section in a rig file. Such a camera runs freely: only a frame
-whose exposure began after the call is delivered, and earlier ones are dropped. A camera is refused where its
-frames would not be the sensor's own integers, or where it chooses the exposure itself.
+Such a camera runs freely: only a frame whose exposure began after the call is delivered, and earlier ones are
+dropped. A camera is refused where its frames would not be the sensor's own integers, or where it chooses the
+exposure itself.
 """
 
 import errno
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from drivers.genicam.gain import to_db, to_raw
+from drivers.genicam.options import RawGain
 from drivers.video_camera.device import Control, StampedFrame, VideoDevice
-from drivers.video_camera.options import VideoOptions
 from fpplab.core import config
+from fpplab.core.config import Document
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.core.errors import (
     CapabilityError,
@@ -28,6 +30,24 @@ from fpplab.core.errors import (
     StateError,
 )
 from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, Trigger
+
+PositiveCount = Annotated[int, Field(ge=1)]
+
+
+class VideoOptions(Document):
+    """The camera's section in a rig file."""
+
+    device: str
+    """Device file; a link of /dev/v4l/by-id does not change when other cameras are plugged in."""
+    size: tuple[PositiveCount, PositiveCount] | None = None
+    """Width and height of frames in px; by default as the camera is set."""
+    shutter: Literal["rolling", "global"] = "rolling"
+    """The shutter that the camera has; the device does not report it."""
+    raw_gain: RawGain | None = None
+    """What the numbers of its gain mean; without it only the least gain is used, which counts as 0 dB."""
+    latency_s: Annotated[float, Field(ge=0)] = 0.0
+    """Longest time in s for which the camera holds a frame back before it is stamped."""
+
 
 EXPOSURE_MODE, EXPOSURE_100_US, GAIN = 0x009A_0901, 0x009A_0902, 0x0098_0913
 MANUAL = 1  # value of `EXPOSURE_MODE` (V4L2_EXPOSURE_MANUAL)

@@ -9,11 +9,11 @@ import numpy as np
 from fpplab.clouds import Cloud
 from fpplab.core.config import Positive
 from fpplab.diagnosis.causes.stale_calibration import max_epipolar_px
-from fpplab.diagnosis.exposure import GreyLevelLimits
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits, harmonics_of_power_law_rad, phase_ripples
 from fpplab.diagnosis.limits import LimitsSection, ShareLimit
 from fpplab.diagnosis.points import systematic_epipolar_px
 from fpplab.diagnosis.sample import FrameSample
+from fpplab.diagnosis.visibility import GreyLevelLimits
 from fpplab.phase import Decoded
 from fpplab.phase.common_errors import beyond_fringe
 from fpplab.phase.precision import coordinate_spread, uncertain_orders

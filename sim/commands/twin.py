@@ -110,8 +110,7 @@ def export_blend(
     Example: `fpplab twin export --rig matched/rig.yaml --item pyramid --out matched.blend`
     """
     from fpplab.core.files import need_suffix, refuse_existing
-    from sim.export import export_preview
-    from sim.preview import Arrangement, arrangement_summary, load_simulated_rig, make_preview
+    from sim.preview import Arrangement, arrangement_summary, export_preview, load_simulated_rig, make_preview
 
     need_suffix(out, ".blend")
     refuse_existing(out, force)

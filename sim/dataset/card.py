@@ -17,8 +17,7 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import read_bounded, write_text
 from fpplab.core.strict_json import parse_json
-from sim.dataset.fields import FIELDS, FRAMES, FieldSpec
-from sim.dataset.shard import CHECKSUMS, SCENES, array_file, shard_name
+from sim.dataset.shard import CHECKSUMS, FIELDS, FRAMES, SCENES, FieldSpec, array_file, shard_name
 
 CARD, README, PLAN = "card.json", "README.md", "plan.yaml"
 FORMAT = "fpplab dataset 1"  # value of the card's field `format`

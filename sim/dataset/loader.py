@@ -14,8 +14,7 @@ from fpplab.core.journals import whole_lines
 from fpplab.core.strict_json import parse_object
 from fpplab.patterns.plan import Plan
 from sim.dataset.card import PLAN, SPLITS, read_card, split_of
-from sim.dataset.fields import Arrays
-from sim.dataset.shard import SCENES, array_file, check_shard, shard_name
+from sim.dataset.shard import SCENES, Arrays, array_file, check_shard, shard_name
 
 
 class Dataset:

@@ -22,10 +22,18 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import check_unwrapping, decode, wrapped_phase
 from sim.bench import VirtualBench
 from sim.dataset.card import dataset_fields, make_card, prepare_folder, split_of
-from sim.dataset.fields import FRAMES, Arrays, dimension_sizes
 from sim.dataset.labels import Labels, trace_labels
 from sim.dataset.scenes import SceneRanges, draw_scene, draw_stage
-from sim.dataset.shard import ShardWriter, check_shard, claim_shard, draft_name, shard_name
+from sim.dataset.shard import (
+    FRAMES,
+    Arrays,
+    ShardWriter,
+    check_shard,
+    claim_shard,
+    dimension_sizes,
+    draft_name,
+    shard_name,
+)
 from sim.studio import DatasetScene, SceneTruth
 
 SampleObserver = Callable[[Arrays, dict[str, Any]], object]

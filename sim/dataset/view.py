@@ -10,8 +10,8 @@ from fpplab.viewer import layouts
 from fpplab.viewer.canvas import CommandView, subsample_columns
 from fpplab.viewer.colours import ColourScale
 from fpplab.viewer.viewer import Viewer
-from sim.dataset.fields import FRAMES, Arrays
 from sim.dataset.making import SampleObserver
+from sim.dataset.shard import FRAMES, Arrays
 
 SHOWN = {
     "wrapped_phase": ("Wrapped phase of the finest set", "rad", "twilight"),

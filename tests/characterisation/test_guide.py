@@ -11,8 +11,7 @@ import pytest
 from fpplab.characterisation import Observation
 from fpplab.characterisation.candidate_poses import tilted_away
 from fpplab.characterisation.first_poses import RoughView
-from fpplab.characterisation.guide import Guide
-from fpplab.characterisation.pose_description import describe_pose, outline_px
+from fpplab.characterisation.guide import Guide, describe_pose, outline_px
 from fpplab.core.geometry import RigidTransform
 from tests.support.plane_twin import CAMERA, PAIR, PROJECTOR, TARGET
 

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.emulators.bench import BenchFaults, EmulatedFixture
 from drivers.emulators.dlpc350 import UsbFault
-from drivers.emulators.sensor_timing import ALWAYS_READY
+from drivers.emulators.exposure import ALWAYS_READY
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError, DeviceTimeoutError, DisconnectedError, SettingError
 from fpplab.devices import CameraSettings, Frame, State

@@ -64,7 +64,7 @@ def test_the_contracts_hold(tmp_path: Path) -> None:
         ("drivers/clock.py", "import sim.scene"),
         ("sim/sensor.py", "import drivers.clock"),
         ("sim/twin.py", "import sim.matching.loss"),
-        ("sim/displacement.py", "import bpy"),
+        ("sim/fluctuation.py", "import bpy"),
         ("sim/build.py", "import sim.blender.nodes"),
         ("fpplab/brand_new/__init__.py", "import fpplab.core"),
     ],

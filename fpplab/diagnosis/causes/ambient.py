@@ -7,9 +7,9 @@ import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.exposure import GreyLevelLimits
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
+from fpplab.diagnosis.visibility import GreyLevelLimits
 
 
 class AmbientLimits(LimitsSection):

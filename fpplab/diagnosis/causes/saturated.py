@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.exposure import GreyLevelLimits, dimming_factor
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.visibility import GreyLevelLimits, dimming_factor
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
