@@ -94,8 +94,7 @@ class EmulatedBenchOptions(Document):
     """How soon the camera takes the next trigger pulse."""
     board: Literal["strict", "lenient"] = "strict"
     """Whether the projector ignores the first start, shows late that it runs and takes time for each request;
-    a lenient one does none of these.
-    """
+    a lenient one does none of these."""
     faults: BenchFaults = BenchFaults()
     """Faults to provoke."""
 

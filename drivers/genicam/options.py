@@ -59,8 +59,7 @@ class GenicamOptions(Document):
     """Black level in the camera's own units; by default unchanged."""
     raw_gain: RawGain | None = None
     """Conversion of GainRaw, for a camera that has no gain in dB; without it such a camera has its least gain
-    only, which counts as 0 dB, unless the driver knows the conversion of its model.
-    """
+    only, which counts as 0 dB, unless the driver knows the conversion of its model."""
     shutter: Literal["rolling", "global_reset", "global"] | None = None
     """Shutter mode to set; for a camera whose shutter cannot be switched, the one that it has."""
     packed: bool = False

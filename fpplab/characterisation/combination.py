@@ -42,8 +42,7 @@ UNITS = {"px": INTRINSICS[:4], "deg": POSE[:3], "mm": POSE[3:]}
 """Units of the parameters by their last names; those of distortion have none."""
 
 DISTANCES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
-"""Distances of the lengths that are compared, in baselines; of these the one at which both devices see most.
-Chosen."""
+"""Distances of compared lengths in baselines; that counts at which both devices see most. Chosen."""
 
 
 @dataclass(frozen=True)

@@ -17,18 +17,15 @@ class CharacterisationLimits(Document):
     max_focal_uncertainty: PartOfOne = 0.03
     """Relative standard uncertainty of a focal length that is accepted. Chosen."""
     max_camera_rms_px: Positive = 1.0
-    """RMS in px of the camera calibrated alone, above which other descriptions of the board are tried.
-    Chosen."""
+    """RMS in px of the camera alone, above which other descriptions of the board are tried. Chosen."""
     min_description_gain: Positive = 4.0
     """How many times better another description of the board must fit to be the right one. Chosen."""
     max_description_rms_px: Positive = 3.0
     """RMS in px of the camera above which another description of the board is wrong as well. Chosen."""
     max_pose_rms_ratio: Positive = 4.0
-    """RMS of a pose relative to the median of all, above which it is left out. Chosen: the board, the rig or
-    the focus changed."""
+    """RMS of a pose relative to the median, above which it is left out. Chosen: something has changed."""
     max_residual_sigmas: Positive = 5.0
-    """Standard deviations beyond which a point is rejected. Derived: noise alone exceeds them once in 270
-    000."""
+    """Standard deviations beyond which a point is rejected. Derived: noise exceeds them once in 270 000."""
     min_rejected_px: Positive = 0.02
     """Error in px of a point that is rejected, however small the others' scatter. Chosen."""
     max_rejected_share: PartOfOne = 0.1
@@ -39,20 +36,16 @@ class CharacterisationLimits(Document):
     min_plane_share: PartOfOne = 0.5
     """Share of the board's pixels whose fringe orders must fit one plane. Chosen."""
     max_chance: Chance = 1e-4
-    """Probability below which chance does not explain what was seen: the motion of a board, another scale
-    in some poses, an uncertainty that is too small. Chosen: chance
-    reaches it once in 10 000 times."""
+    """Probability below which chance does not explain what was seen: the motion of a board, another scale in
+    some poses, an uncertainty that is too small. Chosen: chance reaches it once in 10 000 times."""
     min_focus_poses: Annotated[int, Field(ge=3)] = 5
     """Poses from which it is concluded that the focus of the lens changed. Derived: one is left out."""
     max_focus_breathing: Positive = 1e-4
-    """Scatter of the image's scale between poses that is reported. Chosen: 0.1 px at 1000 px from the
-    centre."""
+    """Scatter of the scale between poses that is reported. Chosen: 0.1 px at 1000 px from the centre."""
     min_tilt_deg: Positive = 15.0
-    """Greatest tilt of a board, below which a warning is given. Derived: focal length and distance are
-    strongly correlated."""
+    """Greatest tilt below which a warning is given. Derived: focal length and distance are correlated."""
     min_tilt_spread_deg: Positive = 20.0
-    """Greatest difference of tilt between boards, below which a warning is given. Chosen: all poses then tell
-    nearly the same."""
+    """Greatest difference of tilt below which a warning is given. Chosen: all poses tell nearly the same."""
     parallel_deg: Positive = 4.0
     """Difference of tilt below which poses are parallel and do not determine the focal lengths. Chosen."""
     min_distance_range: PartOfOne = 0.05
@@ -64,8 +57,7 @@ class PoseLimits:
     """Limits by which a guide judges a pose before the board is put away, and tells poses apart."""
 
     max_residual_ratio: float = 2.0
-    """Residuals of a pose relative to those predicted, above which it is rejected if chance does not explain
-    them either. Chosen."""
+    """Residuals relative to those predicted, above which a pose is rejected unless by chance. Chosen."""
     certain_poses: int = 6
     """Poses by which the devices have to be determined, and from which a pose that contradicts them is the
     wrong one. Chosen: twice as many as are needed."""
@@ -82,8 +74,7 @@ class LocalFitLimits(NamedTuple):
     max_off_centre: float = 0.35
     """How far the middle of the valid pixels may be from the point, in half sides of the window. Chosen."""
     max_median_ratio: float = 4 * 1.4826
-    """Residual beyond which a pixel is left out, in medians of the absolute residuals. Derived: 4 standard
-    deviations."""
+    """Residual beyond which a pixel is left out, in medians of absolute ones. Derived: 4 sigmas."""
     max_rounds: int = 4  # how often outliers are left out (chosen)
 
 

@@ -111,8 +111,7 @@ class BundleSettings:
     clipped_mean_square: float = 0.99501
     """Mean square of a normal variable that is cut off at `huber_limit` standard deviations. Derived."""
     min_eigenvalue_ratio: float = 1e-13
-    """Least significant eigenvalue of normal equations scaled to a diagonal of ones, as a share of the
-    greatest. Chosen."""
+    """Least significant eigenvalue of normal equations scaled to a unit diagonal, of the greatest. Chosen."""
     initial_damping: float = 1e-6
     """Damping at which the fit starts, relative to the diagonal of the normal equations. Chosen."""
     max_damping: float = 1e8  # damping at which the fit ends: no step reduces the residuals (chosen)

@@ -15,21 +15,18 @@ class BlurLimits(LimitsSection):
     """From when on a lens is out of focus, and which."""
 
     min_contrast: Positive = 0.5
-    """Contrast of the finest fringes, as a share of that of a rig in focus. Chosen: noise is then twice as
-    large."""
+    """Contrast of the finest fringes, as a share of that of a rig in focus. Chosen: noise is then doubled."""
     focused_px: Positive = 0.9
-    """Blur of a rig in focus in projector px. Derived: half a mirror of the projector's lens, and the
-    camera's share."""
+    """Blur of a rig in focus in projector px. Derived: half a mirror of its lens, and the camera's share."""
     max_camera_px: Positive = 1.8
-    """Blur of the camera's image in px. Measured on benches of the limits."""
+    """Blur of the camera's image in px. Measured on benches."""
     min_camera_share: Positive = 0.45
-    """Blur of edges, as a share of that of the fringes, above which the camera is out of focus. Measured on
-    benches of the limits."""
+    """Blur of edges, as a share of the fringes', above which the camera is blurred. Measured on benches."""
     min_edge_contrast: Positive = 0.25
     """Range of grey levels in a tile with an edge, as a share of the brightest. Chosen."""
     min_full_contrast: Positive = 0.6
     """The same as a share of the greatest range: blur takes contrast from fine detail, which then looks
-    sharp. Measured on benches of the limits."""
+    sharp. Measured on benches."""
     useless_phase_error: Positive = 8.0
     """Error that a blurred image gives the phase, as a multiple of the noise in focus, above which points
     are useless. Measured: on eight benches the true error was one to two and a half times the estimate."""

@@ -16,9 +16,9 @@ class BrightnessLimits(LimitsSection):
     """From how many stripes on the brightness of a frame does not depend on their phase."""
 
     min_stripes: Positive = 4.0
-    """Stripes of a set that the camera sees whole. Measured on benches of the limits."""
+    """Stripes of a set that the camera sees whole. Measured on benches."""
     min_stripes_in_part: Positive = 16.0
-    """Stripes of a set of which the camera sees a part. Measured on benches of the limits."""
+    """Stripes of a set of which the camera sees a part. Measured on benches."""
     crest_percentile: PercentileLimit = 90.0
     """Share of the pixels, in %, that are darker than the crests of the fringes. Chosen."""
 

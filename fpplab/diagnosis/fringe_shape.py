@@ -19,8 +19,7 @@ class FringeShapeLimits(LimitsSection):
     min_pixels: CountLimit = 500
     """Pixels of known coordinate. Chosen: noise of a phase then averages to a twentieth."""
     max_unevenness: Positive = 0.3
-    """How unevenly their phases may be spread over a period: 0 evenly, 1 at one phase. Measured on benches of
-    the limits."""
+    """How unevenly their phases may spread over a period: 0 evenly, 1 at one phase. Measured on benches."""
     min_harmonic_rad: Positive = 0.03
     """RMS phase error by harmonics in rad that is reported. Chosen."""
 

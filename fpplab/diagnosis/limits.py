@@ -2,8 +2,8 @@
 
 Each cause, and each measurement that several causes share, states its limits next to its code as a
 `LimitsSection`. The sentence beneath a limit ends in where its value comes from: derived (from what),
-measured (on what) or chosen. "Benches of the limits" are the simulated benches of the seeds that are listed
-in `benchmarks.diagnosis`; on others, 100 scans without a fault had no finding.
+measured (on what) or chosen. "Benches" are the simulated ones of the seeds
+that are listed in `benchmarks.diagnosis`; on others, 100 scans without a fault had no finding.
 """
 
 import re

@@ -35,8 +35,7 @@ class SampleLimits(LimitsSection):
     max_tiles: CountLimit = 20
     """Number of tiles, those with most contrast. Chosen."""
     min_lit_share: Positive = 0.15
-    """Modulation of a pixel that sees the fringes, as a share of the strongest. Measured on
-    benches of the limits."""
+    """Modulation of a pixel that sees the fringes, as a share of the strongest. Measured on benches."""
     min_lit_sigmas: Positive = 8.0
     """The same as a multiple of its own noise. Chosen: noise does not reach it in any of 40 000 pixels."""
 

@@ -19,15 +19,13 @@ class GreyLevelLimits(LimitsSection):
     max_saturated_share: ShareLimit = 0.05
     """Share of the lit pixels that may be saturated. Chosen: highlights."""
     min_peak_share: ShareLimit = 0.07
-    """Share of full scale that the brightest lit pixels should reach. Measured on benches of the limits."""
+    """Share of full scale that the brightest lit pixels should reach. Measured on benches."""
     best_peak_share: ShareLimit = 0.9
     """Share of full scale that the brightest lit pixels reach at the best exposure. Chosen."""
     brightest_percentile: PercentileLimit = 90.0
-    """Percentile of the lit pixels' mean level that determines how far an exposure must be
-    lowered. Chosen."""
+    """Percentile of the lit pixels' mean level that decides how far exposure is lowered. Chosen."""
     min_dimming: Positive = 0.1
-    """Least factor of an exposure that saturates. Chosen: two steps correct one that is eight times too
-    long."""
+    """Least factor of an exposure that saturates. Chosen: two steps correct one eight times too long."""
     max_dimming: ShareLimit = 0.9
     """Greatest factor of an exposure that saturates. Chosen."""
 
@@ -50,16 +48,13 @@ class VisibilityLimits(LimitsSection):
 
     min_fringe_sigmas: Positive = 15.0
     """Modulation of the strongest fringes, as a multiple of its noise; weaker ones without coherence are
-    none. Measured on benches of the limits."""
+    none. Measured on benches."""
     min_coherence: Positive = 0.15
-    """Share of the modulation's power that neighbours have in common; of noise it is about 0. Measured on
-    benches of the limits."""
+    """Share of the modulation's power that neighbours share; of noise it is about 0. Measured on benches."""
     min_clear_sigmas: Positive = 25.0
-    """Modulation as a multiple of its noise above which fringes are certain. Measured on benches of the
-    limits."""
+    """Modulation as a multiple of its noise above which fringes are certain. Measured on benches."""
     min_modulation: Positive = 0.5
-    """Modulation in grey levels of 255 below which there are no fringes, whatever the noise. Derived:
-    rounding to grey levels."""
+    """Modulation in grey levels of 255 below which there are no fringes. Derived: rounding."""
     min_tiny_part_pixels: CountLimit = 4
     """Pixels of the sample that see clear fringes, of a part that is tiny in the image. Chosen."""
     min_lit_share: Positive = 0.03

@@ -64,8 +64,7 @@ class MatchingLimits(Document):
     """Greatest number of epochs."""
     seconds: float = 900.0
     """Greatest duration of the epochs in s, of all runs together. A step that lasts longer is abandoned: the
-    record then ends with the epoch before.
-    """
+    record then ends with the epoch before."""
     patience: int = 1
     """Number of rounds of the last steps without a gain after which the matching has converged."""
     converged: float = 2e-4

@@ -73,8 +73,7 @@ class WorldContents(Document):
     mounted: str = "nothing"
     """Item that the fixture holds at first."""
     standing: tuple[str, ...] = ()
-    """Items that stand still in view whatever the fixture holds, such as reference marks, in the first of
-    their poses."""
+    """Items that stand still in view in their first pose, such as reference marks."""
     material: MaterialSection = Diffuse()
     """Material of items that name none of `materials`."""
     materials: Annotated[dict[str, MaterialSection], Field(default_factory=dict)]

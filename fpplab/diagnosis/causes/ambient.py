@@ -16,8 +16,7 @@ class AmbientLimits(LimitsSection):
     """How much light may not change with the fringes."""
 
     max_ratio: Positive = 1.0
-    """Other light relative to the fringes' modulation. Derived: photon noise grows by the root of both, here
-    to 1.4 times."""
+    """Other light relative to the fringes' modulation. Derived: photon noise is then 1.4 times as large."""
     min_level: Positive = 8.0
     """Grey levels of 255 below which what does not change may be the camera's own black level. Chosen."""
 

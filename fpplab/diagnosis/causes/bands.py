@@ -20,14 +20,14 @@ class BandsLimits(LimitsSection):
     """How much the brightness of rows may scatter, and from how many rows that is concluded."""
 
     max_scatter: Positive = 0.01
-    """RMS difference of the rows' brightness between frames. Measured on benches of the limits."""
+    """RMS difference of the rows' brightness between frames. Measured on benches."""
     min_row_pixels: CountLimit = 20
     """Measured pixels of a row of the sample. Chosen."""
     min_rows: CountLimit = 40
     """Such rows. Chosen."""
     min_even_rows: ShareLimit = 0.9
     """Share of the rows over which the phases of a set are spread, so that harmonics do not look like bands.
-    Measured on benches of the limits."""
+    Measured on benches."""
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:

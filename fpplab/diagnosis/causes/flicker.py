@@ -19,15 +19,14 @@ class FlickerLimits(LimitsSection):
     """How much the brightness of frames may scatter."""
 
     max_scatter: Positive = 0.01
-    """Standard deviation of the frames' brightness, as a share. Measured on benches of the limits."""
+    """Standard deviation of the frames' brightness, as a share. Measured on benches."""
     min_phase_error_rad: Positive = 0.02
     """RMS phase error by flicker in rad that is reported. Chosen."""
     min_gains: CountLimit = 3
     """Gains of frames, beyond those that a phase takes with it, whose scatter is taken for flicker.
-    Measured on benches of the limits: of sets of three images one lamp in ten was missed."""
+    Measured on benches: of sets of three images one lamp in ten was missed."""
     max_faint_contrast: Positive = 0.15
-    """Contrast of fringes below which the mean of a frame hardly depends on where they lie. Measured on
-    benches of the limits."""
+    """Contrast of fringes below which a frame's mean hardly depends on their place. Measured on benches."""
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:

@@ -27,8 +27,7 @@ class InterreflectionLimits(LimitsSection):
     min_known_share: ShareLimit = 0.5
     """Share of a block's pixels whose phase error is known. Chosen."""
     max_mirrored_share: Positive = 0.03
-    """Share of the image with fringes in which the coordinate runs backwards. Measured on benches of the
-    limits."""
+    """Share of the image with fringes in which the coordinate runs backwards. Measured on benches."""
     min_directed_share: Positive = 0.25
     """Share of a block's pixels whose coordinate is known. Chosen."""
     min_directed_blocks: CountLimit = 8
@@ -36,8 +35,7 @@ class InterreflectionLimits(LimitsSection):
     min_backward_sigmas: Positive = 3.0
     """Standard uncertainties by which the change in a block is below zero. Chosen."""
     useless_mirrored_share: Positive = 0.3
-    """Share that runs backwards above which points are of no use. Chosen: a third of them stands where
-    nothing is."""
+    """Share that runs backwards above which points are useless. Chosen: a third stands where nothing is."""
     useless_phase_error: Positive = 13.0
     """Error of the phase as a multiple of its noise above which points are of no use. Measured: on 33
     benches the estimate was nearly always within a factor of two of the true error."""

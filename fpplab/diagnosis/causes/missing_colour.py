@@ -23,11 +23,9 @@ class MissingColourLimits(LimitsSection):
     """How much darker every third frame may be."""
 
     min_brightness: ShareLimit = 0.9
-    """Brightness of the frames of one colour, as a share of the others'. Measured on benches of the
-    limits."""
+    """Brightness of the frames of one colour, as a share of the others'. Measured on benches."""
     min_scatters: Positive = 4.0
-    """Difference as a multiple of the scatter of all frames' brightness. Measured on benches of the
-    limits."""
+    """Difference as a multiple of the scatter of all frames' brightness. Measured on benches."""
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:

@@ -17,8 +17,7 @@ class AcceptanceTestLimits(LimitsSection):
     """How errors of an acceptance test are distinguished."""
 
     min_shared_variance: ShareLimit = 0.5
-    """Share of the variance that neighbouring pixels have in common, from which an error of form is no noise.
-    Chosen."""
+    """Share of the variance that neighbours have in common, from which an error is no noise. Chosen."""
     min_scale_sigmas: Positive = 3.0
     """Standard uncertainties by which the mean error of the lengths differs from zero if it is one of scale.
     Chosen: chance reaches it once in 370 tests."""

@@ -26,7 +26,7 @@ class ResponseLimits(LimitsSection):
     """Harmonics as a share of the fringes. Chosen: those of an exponent of 1.53."""
     unexplained_harmonics_ratio: Positive = 2.0
     """Phase error by harmonics compared with what a power law explains, above which 'fpplab gamma' does not
-    correct it. Measured on benches of the limits."""
+    correct it. Measured on benches."""
 
 
 def harmonics_share(sample: FrameSample) -> float:

@@ -18,7 +18,7 @@ class StaleCalibrationLimits(LimitsSection):
     """How far points may be off their epipolar lines."""
 
     max_epipolar_px: Positive = 0.3
-    """Systematic distance in projector px. Measured on benches of the limits."""
+    """Systematic distance in projector px. Measured on benches."""
 
 
 def _find_other_devices(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:

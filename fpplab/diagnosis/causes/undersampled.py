@@ -15,8 +15,7 @@ class UndersampledLimits(LimitsSection):
     """How wide stripes should be."""
 
     min_px_per_stripe: Positive = 4.0
-    """Camera px that a stripe covers. Derived: pixels of a quarter period keep nine tenths of the
-    contrast."""
+    """Camera px that a stripe covers. Derived: pixels of a quarter period keep 0.9 of the contrast."""
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:

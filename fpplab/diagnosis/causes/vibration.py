@@ -16,9 +16,9 @@ class VibrationLimits(LimitsSection):
     """How far the scene may move between fringe sets."""
 
     max_shift_px: Positive = 0.08
-    """Displacement in camera px. Measured on benches of the limits: those at rest stay below."""
+    """Displacement in camera px. Measured on benches: those at rest stay below."""
     min_sigmas: Positive = 8.0
-    """The same as a multiple of its standard uncertainty. Measured on benches of the limits."""
+    """The same as a multiple of its standard uncertainty. Measured on benches."""
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:

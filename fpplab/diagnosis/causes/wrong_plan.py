@@ -35,8 +35,8 @@ class WrongPlanLimits(LimitsSection):
     min_directed_pixels: CountLimit = 100
     """Pixels from which the direction of the fringes is concluded. Chosen."""
     max_bent_share: Positive = 0.25
-    """Share of the disagreement that a better plan leaves where the response is bent. Measured on benches
-    of the limits: bent responses make sets disagree."""
+    """Share of the disagreement that a better plan leaves where the response is bent. Measured on benches:
+    bent responses make sets disagree."""
 
 
 def _find(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Finding]:

@@ -22,8 +22,7 @@ class WrongResolutionLimits(LimitsSection):
     """What an error of the coordinate may be that repeats with the projector's pixels."""
 
     max_moire_px: Positive = 0.04
-    """Amplitude in projector px. Measured: a real rig reaches 0.04 px; pictures that are scaled 0.1 px and
-    more."""
+    """Amplitude in projector px. Measured: real rigs reach 0.04 px, pictures that are scaled 0.1 px."""
     min_cycles: Positive = 0.06
     """Least frequency of a moiré in cycles per projector px. Chosen."""
     max_cycles: Positive = 0.55
@@ -31,14 +30,11 @@ class WrongResolutionLimits(LimitsSection):
     max_cycles_per_pixel: ShareLimit = 0.8
     """The same in cycles per camera pixel. Derived: what is sampled once in a pixel repeats with it."""
     min_distance_cycles: Positive = 0.006
-    """Distance from the frequencies of the fringes and their harmonics, in cycles per px. Measured on
-    benches of the limits."""
+    """Distance from frequencies of fringes and harmonics, in cycles per px. Measured on benches."""
     fringe_harmonics: CountLimit = 6
-    """Harmonics of the fringes that are taken out of the coordinate's roughness before. Measured on benches
-    of the limits."""
+    """Harmonics of the fringes that are taken out of the coordinate's roughness. Measured on benches."""
     max_even_change: Positive = 0.03
-    """Change of brightness from pixel to pixel, as a share, of an even scene. Measured on benches of the
-    limits."""
+    """Change of brightness from pixel to pixel, as a share, of an even scene. Measured on benches."""
     min_fringes: Positive = 4.0
     """Periods of a set that have to be seen for its harmonics to be distinguished from a moiré. Chosen."""
     max_stretch: Positive = 0.05
@@ -211,5 +207,5 @@ WRONG_RESOLUTION = FaultCause(
     ),
     picture=Picture(Needs.FRAMES, _draw),
     side_effects=frozenset({"stale_calibration"}),
-    useless_if_first_from=1.6,  # 0.064 px: on benches of the limits frames without scaling reach 0.06 px
+    useless_if_first_from=1.6,  # 0.064 px: on benches frames without scaling reach 0.06 px
 )

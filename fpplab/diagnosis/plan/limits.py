@@ -13,33 +13,26 @@ class PlanCheckLimits(LimitsSection):
     """Median disagreement of the sets, in units of what noise explains, up to which nothing else is tried.
     Derived: of noise alone it is 1."""
     max_proposed: Positive = 5.0
-    """Disagreement of a plan that is proposed. Chosen: with a bent response straightened right ones stay
-    below 3."""
+    """Disagreement of a plan that is proposed. Chosen: right ones, once straightened, stay below 3."""
     min_bend: Positive = 0.08
-    """Difference of a response's exponent from 1 from which on it is straightened. Chosen: it shifts phases
-    of three steps by 0.02 rad."""
+    """Difference of an exponent from 1 that is straightened. Chosen: three steps are shifted by 0.02 rad."""
     max_scale_difference: Positive = 0.15
-    """Relative difference by which the phases of an axis' sets may change faster than their stripes say.
-    Chosen: they differ by 1 % where stripes are right."""
+    """Relative difference of a set's change of phase from its stripes. Chosen: of right ones it is 1 %."""
     max_better_ratio: ShareLimit = 0.6
     """Disagreement of a plan that fits better, as a share of that of the plan given. Chosen, and judged on
     simulated scenes: each of 15 mistakes is named, and 60 right plans and six captures are left alone."""
     lower_quantile: ShareLimit = 0.3
-    """Quantile of the pixels at which it must fit better too. Derived: where masks leave about half of
-    them, the median is no guide."""
+    """Quantile of the pixels at which it must fit better too. Derived: masks may leave about half of them."""
     max_equal_ratio: Positive = 1.5
-    """Factor on the least disagreement within which plans fit equally well, and the simplest is taken.
-    Chosen."""
+    """Factor on the least disagreement within which plans fit equally, and the simplest wins. Chosen."""
     max_equal_stripes: ShareLimit = 0.005
     """Relative difference of stripes up to which they are those of the plan. Chosen."""
     min_origin_rad: Positive = 0.3
     """Phase origin in rad that is reported. Chosen."""
     stripes_searched: ShareLimit = 0.04
-    """Share of the stripes by which the search for better ones reaches to each side, at least one.
-    Chosen."""
+    """Share of the stripes by which the search reaches to each side, at least one. Chosen."""
     min_whole_agreement: ShareLimit = 0.85
-    """Agreement of whole stripes without a phase origin, as a share of the best, above which they are
-    taken. Chosen."""
+    """Agreement of whole stripes without an origin, as a share of the best, above which they win. Chosen."""
     max_turn_rad: Positive = 1.2
     """Typical change of phase in rad over the distance chosen. Derived: well below π it is unambiguous."""
     pixels: CountLimit = 12_000
@@ -79,11 +72,9 @@ class GuessLimits:
     max_stripes: int = 400  # stripes of a coarsest set that is tried (chosen)
     max_whole_difference: float = 0.004  # relative difference from whole numbers of stripes (chosen)
     max_visible_periods: float = 1.2
-    """Periods of the coarsest set that may be seen if it has one stripe. Derived: gradients are known to a
-    tenth."""
+    """Periods seen of a coarsest set of one stripe, at most. Derived: gradients are known to a tenth."""
     near: float = 0.2
-    """Distance from a pixel's darkest or brightest level, as a share of its range, within which it is either.
-    Chosen."""
+    """Distance from a pixel's least or greatest level, as a share of its range, that counts as it. Chosen."""
     min_binary_share: float = 0.85
     """Share of the pixels that are dark or bright in an image of two levels. Chosen: a sinusoid has 59 %."""
     min_each_share: float = 0.1
@@ -96,21 +87,17 @@ class GuessLimits:
     max_rank_misfit: float = 0.1
     """What two waves may leave of sinusoids of any steps, as a share of their mean square. Chosen."""
     max_free_misfit: float = 0.02
-    """What two waves may leave of a set that is said to have unequal steps. Chosen: a part that moves leaves
-    more."""
+    """What two waves may leave of a set of unequal steps. Chosen: a part that moves leaves more."""
     min_equal_misfit: float = 0.05  # what equal steps leave of unequal ones, as a share of all (chosen)
     min_misfit_ratio: float = 3.0  # the same, as a multiple of what free steps leave (chosen)
     max_step_error_deg: float = 15.0
     """Greatest error of steps that are taken for equal ones in another order. Chosen."""
     min_gain: float = 0.3
-    """Least gain of a frame, as a share of the mean, that is taken for changing brightness. Chosen: a black
-    image needs none."""
+    """Least gain of a frame, as a share of the mean, with changing brightness. Chosen: black needs none."""
     max_unexplained: float = 0.01
-    """What gains and offsets may leave of sinusoids, as a share of their variance. Chosen: Gray code leaves
-    almost half."""
+    """What gains and offsets may leave of sinusoids' variance. Chosen: Gray code leaves almost half."""
     min_explained_ratio: float = 4.0
-    """Factor by which gains and offsets must reduce what equal brightness leaves. Chosen: without changes it
-    is 1."""
+    """Factor by which gains and offsets must reduce what is left. Chosen: without changes it is 1."""
     min_gain_change: float = 0.01
     """Standard deviation of gains that is told. Measured: it is 0.002 where nothing changes."""
 
