@@ -6,7 +6,7 @@ from fpplab.characterisation.fitting import characterise
 from fpplab.characterisation.judging import Judgement, judge, judged_board
 from fpplab.characterisation.observation import Observation, finest_periods, observe
 from fpplab.characterisation.parameters import DistortionModel
-from fpplab.characterisation.result import Characterisation, ModelTrial, Rejected
+from fpplab.characterisation.result import Characterisation
 
 __all__ = [
     "Characterisation",
@@ -14,9 +14,7 @@ __all__ = [
     "Correction",
     "DistortionModel",
     "Judgement",
-    "ModelTrial",
     "Observation",
-    "Rejected",
     "characterise",
     "combine",
     "correct",

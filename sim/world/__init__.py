@@ -4,31 +4,22 @@ The world frame is the camera's (OpenCV, mm). Irradiance is relative: 1 is a per
 faces the white projector at `projector.distance_mm`.
 """
 
-from sim.world.camera import Binning, CameraWorld, Sensor, ShutterSection
-from sim.world.items import ArtefactItem, BoardItem, CardItem, Item, MeshItem, PoseRules, SurroundingsSection
-from sim.world.materials import Material
-from sim.world.projector import LedWorld, ProjectorWorld, ResponseSection
-from sim.world.render import LightPath, Render, Subpixels
-from sim.world.world import StageWorld, World
+from sim.world.camera import Binning, Sensor
+from sim.world.items import ArtefactItem, BoardItem, CardItem, MeshItem, PoseRules, SurroundingsSection
+from sim.world.projector import ProjectorWorld
+from sim.world.render import Render, Subpixels
+from sim.world.world import World
 
 __all__ = [
     "ArtefactItem",
     "Binning",
     "BoardItem",
-    "CameraWorld",
     "CardItem",
-    "Item",
-    "LedWorld",
-    "LightPath",
-    "Material",
     "MeshItem",
     "PoseRules",
     "ProjectorWorld",
     "Render",
-    "ResponseSection",
     "Sensor",
-    "ShutterSection",
-    "StageWorld",
     "Subpixels",
     "SurroundingsSection",
     "World",

@@ -6,12 +6,11 @@ make in plans, `check` decides which plan fits, `guess` writes one.
 
 from fpplab.diagnosis.plan.check import PlanCheck, check_plan_fit
 from fpplab.diagnosis.plan.code_order import code_order_fault
-from fpplab.diagnosis.plan.guess import PlanGuess, guess_plan
+from fpplab.diagnosis.plan.guess import guess_plan
 from fpplab.diagnosis.plan.other_patterns import describe_changing_brightness, name_other_patterns
 
 __all__ = [
     "PlanCheck",
-    "PlanGuess",
     "check_plan_fit",
     "code_order_fault",
     "describe_changing_brightness",
