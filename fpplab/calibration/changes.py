@@ -17,11 +17,8 @@ the picture on the sensor or the mirrors. Chosen."""
 def parameter_vector(calibration: Calibration) -> Floats:
     """List the parameters in the order of `PARAMETERS`."""
     pose = calibration.T_projector_camera
-    numbers = [
-        [device.matrix[0, 0], device.matrix[1, 1], *device.matrix[:2, 2], *device.distortion]
-        for device in (calibration.camera, calibration.projector)
-    ]
-    return np.concatenate([*numbers, pose.rotation_vector, pose.translation])
+    camera, projector = calibration.camera.intrinsics, calibration.projector.intrinsics
+    return np.concatenate([camera, projector, pose.rotation_vector, pose.translation])
 
 
 def _with_lens(calibration: Calibration, device: str, factor: float, shift_px: Floats) -> Calibration:

@@ -59,7 +59,7 @@ def parameter_rows(calibration: Calibration) -> list[Row]:
     values = {
         f"{name}.{term}": value
         for name, device in (("camera", calibration.camera), ("projector", calibration.projector))
-        for term, value in zip(INTRINSICS, _intrinsics(device), strict=True)
+        for term, value in zip(INTRINSICS, device.intrinsics.tolist(), strict=True)
     }
     turned = (*np.degrees(pose.rotation_vector), *pose.translation)
     values |= {f"T_projector_camera.{term}": value for term, value in zip(POSE, turned, strict=True)}
@@ -71,12 +71,6 @@ def parameter_rows(calibration: Calibration) -> list[Row]:
             sigma = float(np.degrees(sigma))
         rows.append({"parameter": name, "value": float(value), "unit": unit, "sigma": sigma})
     return rows
-
-
-def _intrinsics(device: Pinhole) -> list[float]:
-    matrix = device.matrix
-    values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *device.coefficients]
-    return [float(value) for value in values] + [0.0] * (len(INTRINSICS) - len(values))
 
 
 def _five(device: Pinhole, layout: str) -> NDArray[np.float64]:

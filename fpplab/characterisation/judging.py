@@ -186,13 +186,9 @@ class CalibrationAsFitted:
             raise CalibrationError(
                 f"{source}: 'uncertainty.names' are not those of a characterisation; characterise again"
             )
-        lenses = [
-            np.append(d.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], d.coefficients)
-            for d in (calibration.camera, calibration.projector)
-        ]
-        lenses = [np.append(lens, np.zeros(len(INTRINSICS) - len(lens))) for lens in lenses]
+        camera, projector = calibration.camera.intrinsics, calibration.projector.intrinsics
         pair = vectors_of(calibration.T_projector_camera)
-        devices = Solution(lenses[0], lenses[1], pair, np.zeros((1, 6)), fitted.points, fitted.errors.carried)
+        devices = Solution(camera, projector, pair, np.zeros((1, 6)), fitted.points, fitted.errors.carried)
         order = [uncertainty.names.index(name) for name in names]
         exact = cls(devices, fitted.errors, levels[0], np.zeros((len(names), 0)))
         covariance = uncertainty.covariance[np.ix_(order, order)] - np.outer(exact.longer, exact.longer)

@@ -239,9 +239,7 @@ def projected_uncertainty(
     if uncertainty is None:
         raise CalibrationError("the calibration does not say how uncertain it is; characterise again")
     places = distance_mm * np.column_stack([lens.normalise(pixels), np.ones(len(pixels))])
-    intrinsics = np.append(lens.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], lens.coefficients)
-    intrinsics = np.append(intrinsics, np.zeros(len(INTRINSICS) - len(intrinsics)))
-    slopes = project_with_derivatives(places, np.zeros(6), intrinsics)[1]
+    slopes = project_with_derivatives(places, np.zeros(6), lens.intrinsics)[1]
     own = [k for k, name in enumerate(uncertainty.names) if name.startswith(f"{device}.")]
     terms = [6 + INTRINSICS.index(uncertainty.names[k].removeprefix(f"{device}.")) for k in own]
     turned, _ = np.linalg.qr(slopes[:, :3])

@@ -130,6 +130,11 @@ class Pinhole:
         """The distortion as written to files: (5,) where the rational terms are zero, otherwise (8,)."""
         return self.distortion if self.distortion[POLYNOMIAL:].any() else self.distortion[:POLYNOMIAL]
 
+    @property
+    def intrinsics(self) -> Floats:
+        """The numbers fx, fy, cx, cy and the eight coefficients of the distortion, (12,)."""
+        return np.append(self.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], self.distortion)
+
     @cached_property
     def reach(self) -> float:
         """Slope √(x² + y²) up to which the radial distortion is invertible."""

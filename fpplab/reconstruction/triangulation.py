@@ -56,7 +56,7 @@ CoordinateResiduals = tuple[float, float, float, float, float, float, float, flo
 class ProjectorModel(NamedTuple):
     """The projector as the kernel takes it."""
 
-    intrinsics: Numbers  # see `_intrinsics`
+    intrinsics: Numbers  # see `Pinhole.intrinsics`
     pose: Numbers  # T_projector_camera, row by row
     size: tuple[int, int]  # px
     reach: float  # slope up to which its distortion can be inverted
@@ -133,7 +133,7 @@ def predict_coordinate(known: Map, axis: Axis, calibration: Calibration) -> Map:
 def _model_of(calibration: Calibration) -> ProjectorModel:
     projector = calibration.projector
     return ProjectorModel(
-        intrinsics=_intrinsics(projector),
+        intrinsics=tuple(projector.intrinsics.tolist()),
         pose=tuple(calibration.T_projector_camera.matrix[:3].ravel().tolist()),
         size=projector.size,
         reach=projector.reach,
@@ -151,7 +151,7 @@ def camera_slopes(camera: Pinhole) -> Floats:
     with _lock:
         if key not in _slopes:
             slopes = np.empty((2, camera.size[1], camera.size[0]))
-            _invert(_intrinsics(camera), camera.reach, slopes)
+            _invert(tuple(camera.intrinsics.tolist()), camera.reach, slopes)
             slopes.flags.writeable = False
             _slopes[key] = slopes
         _slopes.move_to_end(key)
@@ -169,12 +169,6 @@ def camera_rays(camera: Pinhole) -> Floats:
 def forget_cameras() -> None:
     with _lock:
         _slopes.clear()
-
-
-def _intrinsics(device: Pinhole) -> Numbers:
-    """Return (fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6)."""
-    k = device.matrix
-    return tuple(map(float, (k[0, 0], k[1, 1], k[0, 2], k[1, 2], *device.distortion)))
 
 
 _distort = njit(inline="always")(distort)

@@ -29,7 +29,7 @@ from fpplab.characterisation.bundle import adjust_bundle, covariance_with_poses
 from fpplab.characterisation.parameters import DistortionModel, Model, Solution, vectors_of
 from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats, PixelIndices
-from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.core.geometry import RigidTransform
 from fpplab.core.robust import multiway_covariance
 from sim.matching.geometry.board_shape import change_by_bend
 from sim.matching.geometry.surface_points import slopes_by_move, surface_and_projector_jacobian
@@ -59,7 +59,7 @@ NUISANCE_PARAMETERS = 6
 def _shared(calibration: Calibration, free: int) -> Floats:
     pair = vectors_of(calibration.T_projector_camera)
     return np.concatenate(
-        [_intrinsics(calibration.camera)[:free], _intrinsics(calibration.projector)[:free], pair]
+        [calibration.camera.intrinsics[:free], calibration.projector.intrinsics[:free], pair]
     )
 
 
@@ -68,8 +68,8 @@ def solution_of(parameters: TwinParameters, board: Floats) -> Solution:
     # board (P, 3) mm
     calibration = parameters.calibration
     return Solution(
-        _intrinsics(calibration.camera),
-        _intrinsics(calibration.projector),
+        calibration.camera.intrinsics,
+        calibration.projector.intrinsics,
         vectors_of(calibration.T_projector_camera),
         np.stack([vectors_of(pose) for pose in parameters.poses]),
         board,
@@ -87,11 +87,6 @@ def with_solution(parameters: TwinParameters, solution: Solution) -> TwinParamet
         before.uncertainty,
     )
     return replace(parameters, calibration=calibration, poses=tuple(transform(p) for p in solution.poses))
-
-
-def _intrinsics(device: Pinhole) -> Floats:
-    k = device.matrix
-    return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *device.distortion])
 
 
 def refine_by_reprojection(parameters: TwinParameters, characterisation: Characterisation) -> TwinParameters:
