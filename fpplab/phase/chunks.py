@@ -1,5 +1,7 @@
 """What the compiled parts of the decoder share: chunks of pixels, and how functions are compiled."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit
 
@@ -15,5 +17,12 @@ LOW, HIGH = np.uintp(7 * ROW), np.uintp(8 * ROW)
 """Rows of the buffer of unwrapping with the interval of possible positions."""
 
 # NaN and infinity keep their meaning: only what cannot hide them is relaxed.
-compiled = njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+_RELAXED = {"contract", "reassoc", "nsz", "arcp"}
+compiled = njit(nogil=True, cache=True, error_model="numpy", fastmath=_RELAXED)
 """Decorator of every compiled function that works on chunks."""
+
+if TYPE_CHECKING:
+    compiled_lean = compiled
+else:  # an option that numba has for its own functions
+    compiled_lean = njit(nogil=True, cache=True, error_model="numpy", fastmath=_RELAXED, _nrt=False)
+"""The same without counting references to arrays, which takes longer than short functions: it makes none."""

@@ -8,8 +8,8 @@ neighbouring ones that look alike are one candidate.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,26 +17,37 @@ from scipy.ndimage import gaussian_filter1d
 
 from fpplab.core.conventions import Axis, Floats, Lattice, axis_length
 from fpplab.patterns.fringe_sets import PatternSet
+from fpplab.phase.code_kernel import LANES, measure_ranges
 from fpplab.phase.limits import CODES
 
 GRID_PX = 0.125  # distance of the grid's coordinates (chosen: a sixteenth of the shortest period)
 
 
-@dataclass(frozen=True, eq=False)
-class CodeTable:
-    """Codes of K images on a grid of U coordinates, and C candidates among them."""
+class CodeTable(NamedTuple):
+    """Codes of K images on a grid of U coordinates, and C candidates, which are stretches of the grid."""
 
     coordinate: Floats  # (U,) px
     length: int  # of the projector along the axis in px
-    light: NDArray[np.float32]  # (U, K), without the mean of each code
-    scale: NDArray[np.float32]  # (U,), length of each code, 0 where its images are equal
+    unit: NDArray[np.float32]  # (K, U), codes of unit length without their means; 0 without contrast
+    scale: NDArray[np.float32]  # (U,), length of each code, 0 without contrast
     slope: NDArray[np.float32]  # (U, K) per px, what offset and modulation do not explain of the derivative
     start: NDArray[np.int64]  # (C + 1,) index of each candidate's first grid point
     middle: NDArray[np.int64]  # (C,) index of the grid point in the middle of each candidate
-    candidates: NDArray[np.float32]  # (K, C), codes of unit length there
+    owner: NDArray[np.int64]  # (U,) candidate of each grid point
+    candidates: NDArray[np.float32]  # (K, C), unit codes in the middle of each candidate
+    spread: float  # greatest angle between a code and that in the middle of its candidate
+    # Of `with_ranges`, zeros before it:
+    low: NDArray[np.int64]  # (C,) first candidate of the range about each down to the valleys of correlation
+    high: NDArray[np.int64]  # (C,) the one behind the last
+    apart: Floats  # (U,) angle from each code to the nearest outside of its candidate's range
+
+    def memory(self) -> tuple[NDArray[np.float32], ...]:
+        """Room for the levels of a pixel and for scores, which compiled functions work in."""
+        images, codes = self.unit.shape
+        return tuple(np.empty(size, np.float32) for size in (images, codes, codes, codes))
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=12)
 def code_table(
     sets: tuple[PatternSet, ...], axis: Axis, size: tuple[int, int], lattice: Lattice, blur_px: float
 ) -> CodeTable:
@@ -46,24 +57,52 @@ def code_table(
     coordinate = np.arange(-0.5 + 0.5 * GRID_PX, length - 0.5, GRID_PX)
     shown = _shown(sets, coordinate, length, diamond=lattice is Lattice.DIAMOND and axis == "x")
     light = gaussian_filter1d(shown, max(blur_px, 1e-3) / GRID_PX, axis=0, mode="nearest")
-    start = _boundaries(light)
     light -= light.mean(axis=1, keepdims=True)
     scale = np.linalg.norm(light, axis=1)
-    unit = light / np.maximum(scale, CODES.min_contrast)[:, None]
+    scale[scale < CODES.min_contrast] = 0.0
+    unit = np.where(scale > 0.0, 1.0 / np.maximum(scale, CODES.min_contrast), 0.0)[:, None] * light
     slope = np.gradient(light, GRID_PX, axis=0)
     slope -= np.sum(slope * unit, axis=1, keepdims=True) * unit
-    middle = (start[:-1] + start[1:] - 1) // 2
+    # A candidate ends where the codes have moved by twice the angle.
+    moved = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(unit, axis=0), axis=1))])
+    number = np.floor(moved / (2.0 * CODES.candidate_angle))
+    start = np.flatnonzero(np.diff(number, prepend=-1.0, append=np.inf))
+    middle = np.searchsorted(moved, 0.5 * (moved[start[:-1]] + moved[start[1:] - 1]))
+    owner = np.repeat(np.arange(len(middle)), np.diff(start))
+    off = np.linalg.norm(unit - unit[middle[owner]], axis=1).max()
     f32 = np.float32
+    candidates = _padded(unit[middle])
     return CodeTable(
         coordinate=coordinate,
         length=length,
-        light=light.astype(f32),
-        scale=np.where(scale < CODES.min_contrast, 0.0, scale).astype(f32),
+        unit=_padded(unit),
+        scale=scale.astype(f32),
         slope=slope.astype(f32),
         start=start,
         middle=middle,
-        candidates=np.ascontiguousarray(unit[middle].T, f32),
+        owner=owner,
+        candidates=candidates,
+        spread=2.0 * float(np.arcsin(0.5 * off)),
+        low=np.zeros_like(middle),
+        high=np.zeros_like(middle),
+        apart=np.zeros_like(coordinate),
     )
+
+
+def with_ranges(table: CodeTable) -> CodeTable:
+    """Add what lets a pixel's neighbour be searched first."""
+    table = table._replace(
+        low=np.empty_like(table.low), high=np.empty_like(table.high), apart=np.empty_like(table.apart)
+    )
+    measure_ranges(table, table.memory())
+    return table
+
+
+def _padded(codes: Floats) -> NDArray[np.float32]:
+    """Codes (N, K) as (K, N) with zeros behind, for ranges of whole vectors."""
+    padded = np.zeros((codes.shape[1], len(codes) + LANES), np.float32)
+    padded[:, : len(codes)] = codes.T
+    return padded
 
 
 def _shown(sets: Sequence[PatternSet], coordinate: Floats, length: int, *, diamond: bool) -> Floats:
@@ -74,18 +113,6 @@ def _shown(sets: Sequence[PatternSet], coordinate: Floats, length: int, *, diamo
     images = [(each, step) for each in sets for step in range(each.images)]
     rows = [[each.light(step, centre, length) for each, step in images] for centre in centres]
     return np.asarray(np.mean(rows, axis=0).T)
-
-
-def _boundaries(light: Floats) -> NDArray[np.int64]:
-    """Where a candidate ends: where any image has changed by more than the tolerance since it began."""
-    changes = np.abs(np.diff(light, axis=0)).max(axis=1)
-    start, passed = [0], 0.0
-    for k, change in enumerate(changes.tolist(), 1):
-        passed += change
-        if passed > CODES.candidate_step:
-            start.append(k)
-            passed = 0.0
-    return np.array([*start, len(light)], np.int64)
 
 
 def nearest_codes(table: CodeTable, apart_px: float) -> tuple[float, float, float]:
@@ -106,7 +133,8 @@ def nearest_codes(table: CodeTable, apart_px: float) -> tuple[float, float, floa
     first, second : float
         The coordinates in px.
     """
-    at, unit = table.coordinate[table.middle], table.candidates
+    at = table.coordinate[table.middle]
+    unit = table.candidates[:, : len(at)]
     scale = table.scale[table.middle]
     worst = (np.inf, np.nan, np.nan)
     for k in range(len(at)):

@@ -299,15 +299,21 @@ class EdgeLimits(NamedTuple):
 class CodeLimits(NamedTuple):
     """Limits of the decoder of all kinds of codes."""
 
-    candidate_step: float = 0.25
-    """Change of an image's light, of its whole range, within which coordinates are one candidate. Chosen: a
-    finer one finds the same coordinates, but for 2 in 10,000, and takes twice the time."""
+    candidate_angle: float = 0.2
+    """Angle in rad between unit codes within which coordinates are one candidate. Chosen: a smaller one makes
+    more candidates, a greater one more of them worth a visit; the result is the same."""
+    certain_chi2: float = 40.0
+    """χ² beyond which a worse coordinate is not looked for. Chosen: chance takes it for the best one twice in
+    10^9, or as seldom as a plan demands."""
     min_contrast: float = 0.05
     """Length of a code without its mean below which it has no contrast, in the light's range. Chosen."""
     blurs_px: tuple[float, ...] = (0.0, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
     """Standard deviations of the blur that are tried on a sample of pixels. Chosen: a step of the square
     root of 2 changes what edges leave by less than noise."""
     sample_pixels: int = 2000  # pixels that tell blur and noise (chosen)
+    looked_at_pixels: int = (
+        100_000  # pixels that the sample is taken from (chosen: a fiftieth of them may see codes)
+    )
     hull_chi2: float = 25.0
     """χ² up to which a coordinate is possible. Chosen: 5 sigma, since neighbouring fringes count on it."""
     usual_width_share: float = 0.9

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import zlib
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,11 +16,16 @@ from fpplab.acquisition.synchronisation import check_synchronisation
 from fpplab.core import config
 from fpplab.core.conventions import Axis, Floats
 from fpplab.core.errors import ConfigError
+from fpplab.diagnosis.plan import code_order_fault
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import check_codes, decode
-from fpplab.phase.code_decoding import decode_codes
+from fpplab.phase.bounds import PossibleCoordinates
+from fpplab.phase.code_decoding import _fitted, decode_codes
+from fpplab.phase.code_table import CodeTable, code_table
 from fpplab.phase.coded_axes import sets_of_axis
+from fpplab.phase.limits import CODES
+from fpplab.phase.noise import surprising_power
 
 SIZE = 240, 160
 EVEN: dict[str, Any] = {"kind": "even", "levels": [1, 0]}
@@ -61,11 +69,19 @@ def blurred_light(plan: Plan, coordinate: Floats, axis: Axis, blur_px: float) ->
 
 
 def recorded(
-    plan: Plan, ratio: float, *, blur_px: float = 0.7, seed: int = 0, shape: tuple[int, int] = (60, 200)
+    plan: Plan,
+    ratio: float,
+    *,
+    blur_px: float = 0.7,
+    seed: int = 0,
+    shape: tuple[int, int] = (60, 200),
+    smooth: bool = False,
 ) -> tuple[Floats, Recording]:
     """Frames along x with a modulation of 60 grey levels, `ratio` times the noise, and their coordinates."""
     random = np.random.default_rng(seed)
     coordinate = random.uniform(6, SIZE[0] - 7, shape)
+    if smooth:
+        coordinate = np.sort(coordinate, axis=1)
     levels = 30 + 120 * blurred_light(plan, coordinate, "x", blur_px)
     levels += random.normal(0, 60 / ratio, levels.shape)
     frames = np.rint(np.clip(levels, 0, 255) * 4095 / 255).astype(np.uint16)
@@ -90,6 +106,96 @@ def test_spread_is_that_of_the_bound_and_stated(sets: list[dict[str, Any]]) -> N
     assert np.abs(error).max() < 2.0
     assert np.sqrt(np.mean((error / bound[decoded.valid]) ** 2)) < 1.1
     assert 0.9 < np.sqrt(np.mean((error / decoded.sigma[decoded.valid]) ** 2)) < 1.1
+
+
+Variance = Callable[[float], float]  # of a pixel's levels, from the squares that its code leaves
+
+
+def exhaustive(table: CodeTable, x: Floats, scores: Floats, at: int, variance_of: Variance) -> list[float]:
+    """Coordinate, sigma and gap by the correlations of one pixel's levels with all codes of the grid."""
+    step = table.coordinate[1] - table.coordinate[0]
+    modulation, slope = scores[at] / table.scale[at], table.slope[at].astype(np.float64)
+    square = float(slope @ slope) * modulation**2
+    shift = float(slope @ x) * modulation / square if square > 0 else 0.0
+    square = square if abs(shift) <= 2 * step else 0.0
+    peak = scores[at] ** 2 + shift**2 * square
+    variance = variance_of(float(x @ x) - peak)
+    # Valleys are those of the candidates.
+    middle = scores[table.middle]
+    top = int(table.owner[at])
+    for way in (-1, 1):
+        while 0 <= top + way < len(middle) and middle[top + way] > middle[top]:
+            top += way
+    ends = [top, top]
+    for k, way in enumerate((-1, 1)):
+        while 0 <= ends[k] + way < len(middle) and middle[ends[k] + way] <= middle[ends[k]]:
+            ends[k] += way
+    lobe = np.zeros(len(scores), bool)
+    lobe[table.start[ends[0]] : table.start[ends[1] + 1]] = True
+    runner_up = max(0.0, float(np.max(scores[~lobe], initial=0.0)))
+    lost = peak - scores**2
+    near = lobe & (scores > 0) & (lost <= CODES.hull_chi2 * variance)
+    near[at] = True
+    weight = np.exp(-0.5 * lost[near] / variance)
+    mean = float(np.average(table.coordinate[near], weights=weight))
+    spread = float(np.average((table.coordinate[near] - mean) ** 2, weights=weight)) + step**2 / 12
+    if square > 0 and variance / square < step**2 and spread < 4 * step**2:
+        mean, spread = table.coordinate[at] + shift, variance / square
+    return [mean, np.sqrt(spread), min((peak - runner_up**2) / variance, CODES.certain_chi2)]
+
+
+def random_stripes(images: int) -> list[dict[str, Any]]:
+    """Patterns of files, each of random stripes of three columns."""
+    random = np.random.default_rng(3)
+    levels = np.repeat(random.integers(0, 2, (images, SIZE[0] // 3)) * 255, 3, axis=1)
+    packed = [base64.b64encode(zlib.compress(each.astype(np.uint8).tobytes())).decode() for each in levels]
+    names = [f"{k}.png" for k in range(images)]
+    return [{"kind": "files", "axis": "x", "names": names, "levels": packed}]
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("ratio", [5, 10, 20, 50])
+@pytest.mark.parametrize(
+    "name", ["Gray with white and black", "Gray with inverses", "micro phase shifting", "random stripes"]
+)
+@pytest.mark.parametrize("smooth", [False, True], ids=["rough", "smooth"])
+@pytest.mark.parametrize("bounded", [False, True], ids=["unguided", "guided"])
+def test_the_search_finds_what_all_codes_of_the_grid_give(
+    name: str, ratio: float, smooth: bool, bounded: bool
+) -> None:
+    """Also of smooth images, in which each pixel begins at the coordinate of the one before."""
+    plan = plan_of(KINDS.get(name) or random_stripes(12))
+    coordinate, recording = recorded(plan, ratio, seed=int(ratio), shape=(10, 40), smooth=smooth)
+    sets, reach = sets_of_axis(plan, "x", with_fringes=True), 20.0 if bounded else 1000.0
+    ends = [np.clip(coordinate + d, -0.5, SIZE[0] - 0.5).astype(np.float32) for d in (-reach, reach)]
+    coded = decode_codes(recording, "x", sets, PossibleCoordinates(*ends) if bounded else None)
+    table = code_table(tuple(plan.sets), "x", SIZE, recording.lattice, coded.blur_px)
+    unit = table.unit[:, : len(table.coordinate)].astype(np.float64)
+    levels = np.stack([frame.reshape(-1) for frame in recording.frames], axis=1) * recording.grey
+    freedom = max(levels.shape[1] - 3, 1)
+    surprise = surprising_power(freedom) * freedom
+    step = table.coordinate[1] - table.coordinate[0]
+    for n, (own, lower, upper) in enumerate(zip(levels, *(end.ravel() for end in ends), strict=True)):
+        expected = float(coded.noise.variance(own.mean()))
+        variance = lambda left, e=expected: left / freedom if left > surprise * e else e  # noqa: E731
+        x = own - own.mean()
+        possible = (table.coordinate > lower - step) & (table.coordinate < upper + step)
+        scores = np.where(possible, x @ unit, -1.0)
+        figures = [values.ravel()[n] for values in (coded.coordinate, coded.sigma, coded.gap)]
+        ties = np.flatnonzero(scores >= scores.max() * (1.0 - 1e-6))
+        assert any(
+            figures == pytest.approx(exhaustive(table, x, scores, int(at), variance), rel=2e-3, abs=2e-3)
+            for at in ties
+        ), n
+
+
+def test_blur_and_noise_are_fitted_once() -> None:
+    _, recording = recorded(plan_of(KINDS["micro phase shifting"]), 25)
+    decode(recording)
+    before = _fitted.cache_info()
+    assert code_order_fault(recording) is None
+    after = _fitted.cache_info()
+    assert (after.misses, after.hits) == (before.misses, before.hits + 1)
 
 
 def test_wide_cells_state_their_width() -> None:
