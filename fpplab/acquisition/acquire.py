@@ -39,31 +39,42 @@ FrameObserver = Callable[[Frame], None]  # called with each frame once it is on 
 def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ignore) -> None:
     """Take every image of the plan that the session lacks."""
     # The projector is dark afterwards, whatever happened.
-    settings = rig.camera_settings(plan.exposure_s, plan.bits)
-    caps = rig.projector.caps
-    patterns = make_patterns(plan, caps.size, caps.lattice)
-    missing = session.missing()
-    ends = end_markers(plan, caps.size) if missing else []
-    _log.info("%d frames are to be taken, %g s each", len(missing), settings.exposure_s)
+    all_missing = session.missing()
+    for index, exposure_s in enumerate(plan.exposures):
+        first = index * plan.images
+        missing = [k - first for k in all_missing if first <= k < first + plan.images]
+        _log.info("%d frames are to be taken, %g s each", len(missing), exposure_s)
+        if missing:
+            _take_pass(rig, session, missing, first, exposure_s, observe)
+    if all_missing:
+        _prove(rig, session)
+
+
+def _take_pass(
+    rig: Rig, session: Session, missing: Sequence[int], first: int, exposure_s: float, observe: FrameObserver
+) -> None:
+    """Take the missing images of the plan at one exposure, whose frames begin at `first`."""
+    plan, caps = session.plan, rig.projector.caps
+    settings = rig.camera_settings(exposure_s, plan.bits)
+    patterns, ends = make_patterns(plan, caps.size, caps.lattice), end_markers(plan, caps.size)
     brightness = []
     with (
         write_frames(session, observe) as record,
         closing(expose(rig, [*(patterns[i] for i in missing), *ends], settings, plan)) as shots,
     ):
         for index, shot in zip(missing, shots, strict=False):
-            record(shot.showing(patterns[index].id, index))
+            record(shot.showing(patterns[index].id, first + index))
             if ends:
                 brightness.append(float(shot.image.mean()))
         brightness += [float(shot.image.mean()) for shot in shots]
     if ends and not _ends_black_and_white(brightness):
         raise _out_of_step(rig, session, NO_END_MARKER)
-    if missing:
-        _prove(rig, session)
 
 
 def capture(rig: Rig, plan: Plan) -> list[Image]:
     """Take every image of the plan into memory, with the same check of synchronisation as `acquire`."""
     # returns (height, width)
+    plan.refuse_exposures("a search on this rig")
     caps = rig.projector.caps
     ends = end_markers(plan, caps.size)
     patterns = [*make_patterns(plan, caps.size, caps.lattice), *ends]
@@ -93,9 +104,10 @@ def _ends_black_and_white(brightness: Sequence[float]) -> bool:
 
 
 def _prove(rig: Rig, session: Session) -> None:
-    verdict = check_synchronisation(session.recording(verify=False))
-    if not verdict.in_step:
-        raise _out_of_step(rig, session, verdict.describe())
+    for of_exposure in session.passes(verify=False):
+        verdict = check_synchronisation(of_exposure)
+        if not verdict.in_step:
+            raise _out_of_step(rig, session, verdict.describe())
 
 
 def _out_of_step(rig: Rig, session: Session, evidence: str) -> SyncError:

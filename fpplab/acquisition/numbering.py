@@ -21,6 +21,12 @@ def number_frames(rig: Rig, session: Session) -> None:
     if not isinstance(simulation, NumberedFrames) or origin is None or origin.first_frame is None:
         return
     plan, first, missing = session.plan, origin.first_frame, session.missing()
-    after = plan.images + len(end_markers(plan, rig.projector.caps.size))
-    numbers = [first + i for i in (*missing, *range(plan.images, after))] if missing else []
-    simulation.number_frames(numbers, max(simulation.next_frame, first + after))
+    ends = len(end_markers(plan, rig.projector.caps.size))
+    in_pass = plan.images + ends
+    numbers: list[int] = []
+    for k in range(len(plan.exposures)):
+        start = first + k * in_pass
+        taken = [start + i % plan.images for i in missing if i // plan.images == k]
+        numbers += [*taken, *range(start + plan.images, start + in_pass)] if taken else []
+    after = first + in_pass * len(plan.exposures)
+    simulation.number_frames(numbers, max(simulation.next_frame, after))

@@ -26,6 +26,15 @@ AnySet = Annotated[PatternSet, TaggedUnion(default="sinusoid")]
 """A set of patterns of any kind; a sinusoid where no `kind` is given."""
 
 
+Exposure = Annotated[float, Field(gt=0, le=60)]
+"""In s."""
+
+
+def _single_exposure(given: dict[str, Any]) -> float:
+    several = sorted(given.get("exposures_s") or [0.02])
+    return float(several[len(several) // 2])
+
+
 def _known_method(name: str) -> str:
     methods = [f"'{method}'" for method in sorted(unwrapping_methods(), reverse=True)]
     if f"'{name}'" not in methods:
@@ -121,8 +130,12 @@ class Plan(Document):
 
     Without a calibration there is no coordinate along it, and a characterisation cannot use the plan.
     """
-    exposure_s: Annotated[float, Field(gt=0, le=60)] = 0.02
-    """Exposure of every frame, in s."""
+    exposures_s: Annotated[tuple[Exposure, ...] | None, Field(min_length=2, max_length=8)] = None
+    """Exposures in s of which each takes every pattern, for surfaces of which no exposure suits all; all
+    patterns are shown at the first, then at the next. By default `exposure_s` alone.
+    """
+    exposure_s: Exposure = Field(default_factory=_single_exposure)
+    """Exposure of every frame, in s; with `exposures_s`, of what takes single pictures, such as `live`."""
     bits: Literal[8, 10, 12, 16] | None = None
     """Depth of the camera's grey levels, which the camera must offer; by default that of the rig file.
 
@@ -161,6 +174,12 @@ class Plan(Document):
     """
 
     @model_validator(mode="after")
+    def _exposures_differ(self) -> Plan:
+        if len(set(self.exposures)) < len(self.exposures):
+            raise ValueError("'exposures_s' names an exposure twice")
+        return self
+
+    @model_validator(mode="after")
     def _sizes_agree(self) -> Plan:
         sizes = {each.projector_size for each in self.sets}
         if len(sizes) > 1:
@@ -187,7 +206,8 @@ class Plan(Document):
 
     def __repr__(self) -> str:
         sets = ", ".join(f"{each.coded_axis or ''} {each.short_name} x {each.images}" for each in self.sets)
-        return f"<Plan: {sets}; {self.images} images, {self.unwrapping}>"
+        several = f" at {len(self.exposures)} exposures" if self.exposures_s else ""
+        return f"<Plan: {sets}; {self.images} images{several}, {self.unwrapping}>"
 
     @classmethod
     def load(cls, path: Path | str) -> Plan:
@@ -262,8 +282,34 @@ class Plan(Document):
 
     @property
     def images(self) -> int:
-        """Number of images of a measurement."""
+        """Number of images that are shown."""
         return sum(each.images for each in self.sets)
+
+    @property
+    def exposures(self) -> tuple[float, ...]:
+        """Exposures in s of which each takes every image, in the order taken."""
+        return self.exposures_s or (self.exposure_s,)
+
+    @property
+    def frames(self) -> int:
+        """Number of frames of a measurement: every image at every exposure."""
+        return self.images * len(self.exposures)
+
+    def refuse_exposures(self, use: str) -> None:
+        """Refuse several exposures where they have no meaning.
+
+        Parameters
+        ----------
+        use : str
+            What needs a single exposure, as the subject of the message.
+
+        Raises
+        ------
+        ConfigError
+            The plan has several.
+        """
+        if self.exposures_s:
+            raise ConfigError(f"plan: 'exposures_s' has {len(self.exposures)} exposures, but {use} takes one")
 
     @property
     def axes(self) -> tuple[Axis, ...]:

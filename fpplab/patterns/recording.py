@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numba import njit
@@ -31,6 +31,26 @@ class KnownCoordinate:
 
     pixel: tuple[int, int]  # of the camera (column, row)
     coordinate: float  # of the projector in px, along the axis that neighbours unwrap
+
+
+@dataclass(frozen=True, eq=False)
+class MergedLevels:
+    """What the levels of frames mean that were merged from several exposures (`fpplab.phase.exposures`).
+
+    Attributes
+    ----------
+    headroom : float
+        Full scale of the merged frames, in full scales of the camera.
+    scale : ndarray of float32, (height, width)
+        Levels of each pixel per level of the longest exposure. Frames of a pixel have levels of the noise
+        that the camera has at this level; the light of neighbouring pixels is compared without the scale.
+    noise : tuple of float
+        Variance of a merged level at 0, and its increase per level, in 8-bit grey levels.
+    """
+
+    headroom: float
+    scale: Map
+    noise: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +79,8 @@ class Recording:
         How the projector's mirrors lie, which edges of codes follow.
     known : tuple of KnownCoordinate
         Points whose coordinate is known, from which spatial unwrapping takes the orders of their islands.
+    merged : MergedLevels or None
+        Where the frames are merged from several exposures; one frame for each image of the plan.
     """
 
     frames: Sequence[Image]
@@ -71,6 +93,7 @@ class Recording:
     is_imported: bool = False
     lattice: Lattice = Lattice.SQUARE
     known: tuple[KnownCoordinate, ...] = ()
+    merged: MergedLevels | None = None
 
     def __repr__(self) -> str:
         height, width = self.frames[0].shape if self.frames else (0, 0)
@@ -80,7 +103,39 @@ class Recording:
     @property
     def grey(self) -> float:
         """8-bit grey levels to one unit of the raw frames."""
-        return 1.0 / raw_per_grey(self.bits)
+        return (self.merged.headroom if self.merged else 1.0) / raw_per_grey(self.bits)
+
+    def light(self, levels: NDArray[Any]) -> NDArray[Any]:
+        """Compare the light of different pixels.
+
+        Parameters
+        ----------
+        levels : ndarray, (height, width)
+            Levels of frames, or what is proportional to them.
+
+        Returns
+        -------
+        ndarray, (height, width)
+            The same, or levels of the longest exposure where frames are merged from several.
+        """
+        return levels if self.merged is None else np.asarray(levels / self.merged.scale, np.float32)
+
+    def part(self, chosen: tuple[slice, slice]) -> Recording:
+        """Take some pixels of the image.
+
+        Parameters
+        ----------
+        chosen : tuple of slice
+            Their rows and columns.
+
+        Returns
+        -------
+        Recording
+            With these pixels of every frame alone.
+        """
+        frames = [np.ascontiguousarray(frame[chosen]) for frame in self.frames]
+        merged = self.merged and replace(self.merged, scale=self.merged.scale[chosen])
+        return replace(self, frames=frames, merged=merged)
 
     @cached_property
     def harmonics(self) -> Floats | None:
@@ -142,9 +197,12 @@ class Recording:
     def typical_frame(self) -> Image:
         """A frame that shows the scene under its finest fringes, or under a code where there are none."""
         if part := self.fringe_part:
-            return part.finest()[1][0]
-        coded = next(k for k, each in enumerate(self.plan.sets) if each.coded_axis)
-        return self.of_set(coded)[-1]
+            shown = part.finest()[1][0]
+        else:
+            shown = self.of_set(next(k for k, each in enumerate(self.plan.sets) if each.coded_axis))[-1]
+        if self.merged is None:
+            return shown
+        return np.minimum(self.light(shown) * self.merged.headroom, self.full_scale).astype(np.uint16)
 
     def along(self, axis: Axis) -> Recording:
         """Take the fringe sets along one axis.
@@ -185,6 +243,8 @@ class Recording:
             total = np.zeros(mean[rows].shape, np.float32)
             for frame in frames:
                 _add(frame[rows], total)
+            if self.merged:
+                total /= self.merged.scale[rows]
             _round(total, divisor, mean[rows])
 
         with ThreadPoolExecutor() as threads:

@@ -175,10 +175,11 @@ def decode_coded_axis(
     seen &= ~_saturated(recording, sets)
     uncertain = seen & (chance > rules.wrong_order_max)
     seen &= ~uncertain
+    light = recording.light(coded.modulation)
     nan = np.float32(np.nan)
     coordinate, modulation, sigma, misfit = (
         np.where(seen, values, nan)
-        for values in (coded.coordinate, coded.modulation, coded.sigma, np.sqrt(coded.misfit))
+        for values in (coded.coordinate, light, coded.sigma, np.sqrt(coded.misfit))
     )
     empty = np.broadcast_to(nan, coordinate.shape)
     u, v = (coordinate, empty) if axis == "x" else (empty, coordinate)

@@ -65,7 +65,7 @@ def correct_edges(
     # nothing; it is not separated from the surface's shape, so that it counts as uncertainty alone.
     frames = recording.finest()[1]
     if len(frames) == 3:  # their modulation ripples with the second harmonic of a bent response
-        mean = np.mean(frames, axis=0, dtype=_f) * _f(recording.grey)
+        mean = recording.light(np.mean(frames, axis=0, dtype=_f)) * _f(recording.grey)
         modulation = np.where(np.isfinite(modulation), mean, _f(np.nan))
     places = _tiles_with_edges(modulation)
     if not places and blur_px2 == 0.0:

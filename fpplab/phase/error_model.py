@@ -27,7 +27,7 @@ from fpplab.core.conventions import (
 )
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.fringe_sets import FringeSet
-from fpplab.patterns.recording import Recording
+from fpplab.patterns.recording import MergedLevels, Recording
 from fpplab.patterns.unwrapping import SyntheticWavelength
 from fpplab.phase.common_errors import (
     CommonErrors,
@@ -108,6 +108,7 @@ def error_model_of(recording: Recording) -> ErrorModel:
         recording.harmonics,
         _sequences(recording),
         ramps,
+        recording.merged,
     )
     if plan.images <= NOISE.min_samples:
         noise = noise_of_neighbours(recording, errors.saturation, errors.noise)
@@ -144,6 +145,7 @@ def fit_errors(
     harmonics: Floats | None = None,
     sequences: Sequence[WavelengthSequence] = (),
     ramps: Mapping[int, Floats] = MappingProxyType({}),
+    merged: MergedLevels | None = None,
 ) -> tuple[ErrorModel, dict[int, HarmonicsFit]]:
     """Estimate noise by photon transfer, beyond harmonics and flicker; robust against scene and motion."""
     # Where a set has more than three steps, noise is what the sinusoid leaves. Where all have three, it is
@@ -151,7 +153,8 @@ def fit_errors(
     # then the rounding alone, a lower bound. Beside the model, the fits of sets that are fitted by
     # themselves.
     # samples (N, P); harmonics (K,)
-    step, grey = level_step(np.concatenate([sample.ravel() for sample in samples])), 1.0 / raw_per_grey(bits)
+    step = level_step(np.concatenate([sample.ravel() for sample in samples]))
+    grey = (merged.headroom if merged else 1.0) / raw_per_grey(bits)
     saturation = _saturation(bits, step)
     usable = np.flatnonzero(_find_usable_pixels(samples, saturation))
     freedom = sum(fringe.images - 3 for fringe in fringes) or len(fringes) - 1
@@ -165,7 +168,9 @@ def fit_errors(
     groups = groups_of(levels, fringes, modulation_min)
     fits = [fit_group(group) for group in groups]
     noise = _fit_noise_model(groups, fits, step * grey)
-    if not groups:
+    if merged:
+        noise = NoiseModel(*merged.noise, step * grey)
+    elif not groups:
         noise = _noise_beside_saturation(samples, fringes, saturation, grey, step) or noise
     sets = [
         replace(errors, lag_rad=lag_error_rad(lag, fringe))

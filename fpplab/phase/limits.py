@@ -125,6 +125,32 @@ class PhaseNoiseLimits(NamedTuple):
     min_even_share: float = 0.9  # share of the gaps that must be one step (chosen)
 
 
+class ExposureMergeLimits(NamedTuple):
+    """Limits of merging several exposures."""
+
+    headroom: float = 16.0
+    """Full scale of merged frames, in full scales of the camera. Chosen: the longest exposure may show a few
+    samples of a pixel whose others are as much brighter; a step of 16 bits is then 1/16 of an 8-bit one."""
+    min_slope: float = 0.05
+    """Least weight of a sample's variance in that of the pixel. Chosen: codes have levels at both ends
+    alone."""
+    max_level: float = 0.9
+    """Share of full scale from which on neighbouring pixels are left out of the fit. Chosen: noise does not
+    saturate below it."""
+    max_black_share: float = 0.01
+    """Share of samples at level 0 from which on a mean of them is left out. Chosen: noise is cut off
+    there."""
+    bins: int = 48  # bins of levels through whose means the ratio of two exposures is fitted (chosen)
+    black_prior: float = 8.0  # expected standard deviation of the black level, in grey levels (chosen)
+    ratio_prior: float = 0.03
+    """Expected standard deviation of a ratio of exposures, relative to that of their times. Chosen."""
+    max_ratio_error: float = 0.1
+    """Greatest relative error of a ratio. Chosen: a camera's gamma of 1/1.2 exceeds it at a ratio of 2."""
+    max_misfit: float = 0.03
+    """Greatest RMS misfit of proportional levels, as a share of the highest. Chosen: lamps change by less."""
+    fit_passes: int = 6  # passes of the least squares (chosen)
+
+
 class CommonErrorLimits(NamedTuple):
     """Limits of the estimate of errors that all pixels of one phase share."""
 
@@ -408,6 +434,7 @@ class PlaneLimits(NamedTuple):
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
+EXPOSURES = ExposureMergeLimits()
 COMMON_ERRORS = CommonErrorLimits()
 BENT_PHASES = BentPhaseLimits()
 BIASED_ORDERS = BiasedOrderLimits()

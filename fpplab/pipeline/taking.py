@@ -52,7 +52,7 @@ def take_or_resume_session(
             place_item() if place_item else fixture.mount(*mounted_item)
 
         def report(frame: Frame) -> None:
-            progress(1.0 - len(session.missing()) / plan.images)
+            progress(1.0 - len(session.missing()) / plan.frames)
             observe_frame(frame)
 
         acquire(rig, plan, session, report)
@@ -65,7 +65,7 @@ def plan_stage_moves(rig: Rig, plan: Plan, session_folder: Path, replace_existin
     check_disk_space(rig, plan, [session_folder], replace_existing)
     move = None if plan.stage_mm is None else asdict(rig.plan_stage_move(plan.stage_mm))
     replaces = replace_existing and (session_folder / JOURNAL).is_file()
-    return {"images": plan.images, "stage": move, "replaces": replaces, "dry_run": True}
+    return {"images": plan.frames, "stage": move, "replaces": replaces, "dry_run": True}
 
 
 def check_disk_space(rig: Rig, plan: Plan, session_folders: Sequence[Path], replace_existing: bool) -> None:

@@ -31,7 +31,7 @@ def scan_section(result: ScanResult, comparison: Comparison | None = None) -> Sc
     evidence = Evidence(fringes, result.decoded, result.cloud, result.calibration)
     return ScanSection(
         name=session.path.name,
-        images=session.plan.images,
+        images=session.plan.frames,
         frame=recording.typical_frame,
         wrapped=wrapped_phase(*fringes.finest()[::-1]) if fringes else None,
         decoded=result.decoded,

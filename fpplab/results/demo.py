@@ -31,7 +31,7 @@ class DemoScan:
     def summary(self) -> dict[str, Any]:
         return {
             "artefact": self.artefact,
-            "images": self.scan.session.plan.images,
+            "images": self.scan.session.plan.frames,
             **self.comparison.summary(),
             "points": len(self.scan.cloud) if self.scan.cloud else 0,
             "removed": count_removed(self.scan.decoded) if self.scan.decoded else None,

@@ -79,7 +79,7 @@ def session_provenance(
         "rig_file": Path(origin.rig_file).name if origin else None,
         **_device_values(rig, origin),
         "plan": plan_description(session.plan),
-        "images": str(session.plan.images),
+        "images": str(session.plan.frames),
         **_camera_settings_as_read(session),
         "taken": f"{local_time(times[0])}, in {duration_text(times[1] - times[0])}" if times else None,
         "session": str(session.path),

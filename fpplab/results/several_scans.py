@@ -92,7 +92,7 @@ def _plan_terms(plan: Plan) -> dict[str, str]:
         sets = [each for each in plan.sets if each.coded_axis == axis]
         terms[f"stripes along {axis}"] = ", ".join(each.short_name for each in sets)
         terms[f"images along {axis}"] = ", ".join(str(each.images) for each in sets)
-    terms["images"] = str(plan.images)
+    terms["images"] = str(plan.frames)
     return terms | {name: str(value) for name, value in config.plain(plan).items() if name != "fringes"}
 
 

@@ -110,7 +110,7 @@ def need_space_for_frames(
     images = freed = 0
     for path in paths:
         begun = (path / JOURNAL).is_file()
-        images += plan.images - (len(whole_lines(path / JOURNAL)) if begun and not force else 0)
+        images += plan.frames - (len(whole_lines(path / JOURNAL)) if begun and not force else 0)
         freed += disk_bytes(path) if begun and force and not replaced_last else 0
     each = size[0] * size[1] * raw_dtype(bits).itemsize
     what = f"{images} frames of {format_text((*size, bits))}"

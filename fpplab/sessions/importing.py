@@ -43,6 +43,7 @@ def import_images(
     # Every image is checked before the session is made.
     # projector_size (width, height) px
     check_bits(bits)
+    plan.refuse_exposures("an import")
     rig = _projector_record(plan, projector_size, lattice)
     images = _find_and_check_images(source, [each.images for each in plan.sets], bits, warn, tell)
 

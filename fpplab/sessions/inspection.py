@@ -56,7 +56,7 @@ def describe_session(session: Session) -> dict[str, Any]:
         "format": session_format(session.path),
         "frames": len(session.records),
         "missing": session.missing(),
-        "images": session.plan.images,
+        "images": session.plan.frames,
         "size": list(session.format[:2]) if session.records else None,
         "bits": session.bits if session.records else None,
         "imported": session.is_imported,

@@ -21,7 +21,7 @@ class FrameRecord(Document):
     """One line of the journal."""
 
     index: int
-    """Of the image in the plan, from 0."""
+    """Of the image in the plan, from 0; those of a further exposure go on from the one before."""
     pattern: str
     """The pattern that was on show."""
     file: str
@@ -80,7 +80,7 @@ def frame_file(index: int, pattern: str) -> str:
 
 
 def pattern_ids(plan: Plan) -> list[str]:
-    return [name for _, _, name in plan.steps()]
+    return [name for _, _, name in plan.steps()] * len(plan.exposures)
 
 
 def check_frame_place(
@@ -141,10 +141,10 @@ def _record_of(line: bytes, error_prefix: str, ids: list[str] | None, taken: Con
 
 def check_whole(path: Path, plan: Plan, records: Sequence[FrameRecord]) -> None:
     recorded = {record.index for record in records}
-    if missing := [i for i in range(plan.images) if i not in recorded]:
+    if missing := [i for i in range(plan.frames) if i not in recorded]:
         shown = ", ".join(map(str, missing[:8])) + (" …" if len(missing) > 8 else "")
         raise DataError(
-            f"{path}: {len(missing)} of {plan.images} frames are missing ({shown}); "
+            f"{path}: {len(missing)} of {plan.frames} frames are missing ({shown}); "
             "run the same scan again to complete it"
         )
     for i, record in enumerate(records):

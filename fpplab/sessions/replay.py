@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,11 @@ class RecordedSession:
     def first(self) -> FrameRecord:
         return self.session.records[0]
 
+    def exposures(self) -> dict[float, int]:
+        """Give the index of the first frame of each exposure in s."""
+        images = self.session.plan.images
+        return {record.exposure_s: record.index // images * images for record in self.session.records}
+
     def camera_offset(self) -> tuple[int, int] | None:
         origin = session_origin(self.session.path)
         return origin.camera_offset if origin else None
@@ -91,26 +97,29 @@ class ReplayCamera(Camera):
 
     def _caps(self) -> CameraCaps:
         width, height, bits = self._recording.session.format
-        first = self._recording.first()
+        first, exposures = self._recording.first(), self._recording.exposures()
         return CameraCaps(
             size=(width, height),
             bits=(bits,),
-            exposure_s=(first.exposure_s, first.exposure_s),
+            exposure_s=(min(exposures), max(exposures)),
             gain_db=(first.gain_db, first.gain_db),
             triggers=("software",),
             offset=self._recording.camera_offset(),
         )
 
     def _configure(self, settings: CameraSettings) -> CameraSettings:
-        return settings
+        recorded = self._recording.exposures()
+        nearest_s = min(recorded, key=lambda each: abs(each - settings.exposure_s))
+        return replace(settings, exposure_s=nearest_s)
 
     def _arm(self, n: int, trigger: Trigger) -> None:
         """Every frame is there already."""
 
     def _read(self, timeout_s: float) -> Frame:
-        index = self._recording.shown
-        if index is None:
+        shown = self._recording.shown
+        if shown is None:
             raise FrameLossError(self.name, "read", "the projector is dark, and no dark frame was recorded")
+        index = self._recording.exposures()[self._configured("read").exposure_s] + shown
         try:
             record = self._recording.session.record(index)
             image: Image = self._recording.session.read(index).copy()

@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -90,13 +91,13 @@ class Session:
         self._disk: int | None = None
 
     def __repr__(self) -> str:
-        return f"<Session {self.path}: {len(self._records)} of {self.plan.images} frames>"
+        return f"<Session {self.path}: {len(self._records)} of {self.plan.frames} frames>"
 
     def _repr_html_(self) -> str:
         missing = len(self.missing())
         rows: dict[str, object] = {
             "folder": self.path,
-            "frames": f"{len(self._records)} of {self.plan.images}",
+            "frames": f"{len(self._records)} of {self.plan.frames}",
             "plan": repr(self.plan),
             "rig": "images from elsewhere" if self.is_imported else (self._rig or {}).get("name"),
             "state": "complete" if not missing else f"{missing} frames are missing",
@@ -174,7 +175,7 @@ class Session:
         if path.exists():
             remove_session(path)
         make_directory(path, lambda draft: write_initial_files(draft, plan, rig))
-        _log.info("session %s made for %d frames", path, plan.images)
+        _log.info("session %s made for %d frames", path, plan.frames)
         return cls(path, plan, rig, {})
 
     @classmethod
@@ -249,7 +250,7 @@ class Session:
         check_format(path)
         plan, rig = config.load_document(path / PLAN, Plan), read_rig(path)
         records = read_journal(path, plan)
-        _log.info("session %s opened: %d of %d frames", path, len(records), plan.images)
+        _log.info("session %s opened: %d of %d frames", path, len(records), plan.frames)
         return cls(path, plan, rig, records)
 
     @classmethod
@@ -353,7 +354,7 @@ class Session:
         list of int
             Their indices, in order.
         """
-        return [i for i in range(self.plan.images) if i not in self._records]
+        return [i for i in range(self.plan.frames) if i not in self._records]
 
     def write(self, frame: Frame) -> None:
         """Put one frame on disk and then into the journal.
@@ -448,9 +449,9 @@ class Session:
         check_whole(self.path, self.plan, self.records)
         images, start = [], time.perf_counter()
         with ThreadPoolExecutor(2) as readers:  # checksums do not hold Python's lock
-            for image in readers.map(lambda i: self.read(i, verify), range(self.plan.images)):
+            for image in readers.map(lambda i: self.read(i, verify), range(self.plan.frames)):
                 images.append(image)
-                progress(len(images) / self.plan.images)
+                progress(len(images) / self.plan.frames)
         seconds = time.perf_counter() - start
         _log.info(
             "%d frames of %s read from %s, %.3f s", len(images), format_text(self.format), self.path, seconds
@@ -470,7 +471,7 @@ class Session:
         Returns
         -------
         Recording
-            Its frames memory-mapped and read-only.
+            Its frames memory-mapped and read-only; those of several exposures merged into one for each image.
 
         Raises
         ------
@@ -479,6 +480,38 @@ class Session:
         DataError
             As `stack` and `projector`.
         """
+        raw = self._raw(verify, progress)
+        if len(self.plan.exposures) == 1:
+            return raw
+        from fpplab.phase.exposures import merged_recording  # compiled code, for these sessions alone
+
+        starts = range(0, self.plan.frames, self.plan.images)
+        return merged_recording(raw, [self.record(first).exposure_s for first in starts])
+
+    def passes(self, verify: bool = True) -> list[Recording]:
+        """Give the frames as they are, those of each exposure by themselves.
+
+        Parameters
+        ----------
+        verify : bool
+            Whether checksums are compared with the journal's.
+
+        Returns
+        -------
+        list of Recording
+            One for each of the plan's exposures.
+
+        Raises
+        ------
+        ConfigError, DataError
+            As `recording`.
+        """
+        raw, images = self._raw(verify), self.plan.images
+        starts = range(0, len(raw.frames), images)
+        return [replace(raw, frames=raw.frames[first : first + images]) for first in starts]
+
+    def _raw(self, verify: bool, progress: Progress = no_progress) -> Recording:
+        """All frames of all exposures, one after another."""
         size, lattice = self.projector()
         self.plan.check_projector(size, self.path)
         frames = self.stack(verify, progress)

@@ -21,11 +21,11 @@ class PlanPreview:
     """A plan on a rig."""
 
     trigger: str  # "stepped" or "triggered"
-    images: int  # number of images of the plan
+    images: int  # number of images that are taken
     end_markers: int  # number of further patterns, black and white, that prove the synchronisation
     bit_planes: int  # sum of the bit depths of all patterns
     loads: int  # how often the projector changes to another image of its flash, or to another video frame
-    exposure_s: float  # the camera's exposure in s, as read back
+    exposure_s: float  # the camera's exposure in s, as read back; the longest of several, as the times are
     light_s: float  # s for which each pattern is shown; in a stepped plan at least
     dark_s: float  # least s from the end of one pattern to the beginning of the next; 0 in a stepped plan
     period_s: float  # least s from one pattern to the next
@@ -43,12 +43,15 @@ def preview_plan(
     plan.check_projector(caps.size, source)
     ends = end_markers(plan, caps.size)
     patterns = [*make_patterns(plan, caps.size, caps.lattice), *ends]
-    exposure_s = camera.configure(rig.camera_settings(plan.exposure_s, plan.bits)).exposure_s
     rig.projector.load(patterns)
-    timing = planned_timing(rig, plan, patterns, exposure_s)
+    timings = {}
+    for each in sorted(plan.exposures):
+        exposure_s = camera.configure(rig.camera_settings(each, plan.bits)).exposure_s
+        timings[exposure_s] = planned_timing(rig, plan, patterns, exposure_s)
+    timing = timings[exposure_s]
     preview = PlanPreview(
         trigger=plan.trigger,
-        images=plan.images,
+        images=plan.frames,
         end_markers=len(ends),
         bit_planes=sum(p.bit_depth for p in patterns),
         loads=rig.projector.loads.images,
@@ -57,7 +60,7 @@ def preview_plan(
         dark_s=timing.period_s - timing.light_s,
         period_s=timing.period_s,
         period_set_by=timing.limit,
-        least_s=len(patterns) * timing.period_s,
+        least_s=len(patterns) * sum(each.period_s for each in timings.values()),
         precision=plan_precision(
             plan, caps.size, noise, calibration, first_stated((plan.depth_mm, ""), (rig.file.depth_mm, ""))
         ),

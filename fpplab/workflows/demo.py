@@ -110,7 +110,7 @@ def _scan_artefact(
     assert reconstruction.decoded is not None
     assert reconstruction.cloud is not None
     provenance = session_provenance(session, calibration, Path(CALIBRATION))
-    scan = scan_result(reconstruction, provenance, stopwatch.seconds, images=plan.images)
+    scan = scan_result(reconstruction, provenance, stopwatch.seconds, images=plan.frames)
     standing = rig.need_fixture("the demonstration").pose(name)
     if standing is None:
         raise ConfigError("the demonstration needs a fixture that knows where it holds an item")

@@ -233,7 +233,7 @@ def _finish(request: ScanRequest, session: Session, observer: Observer, stopwatc
         reconstruction,
         provenance,
         stopwatch.seconds,
-        images=session.plan.images,
+        images=session.plan.frames,
         cloud_file=request.out / CLOUD,
         report_file=request.out / REPORT if request.report else None,
     )

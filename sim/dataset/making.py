@@ -102,6 +102,7 @@ class DatasetMaker:
 
     def __init__(self, rig: Rig, request: DatasetRequest) -> None:
         check_unwrapping(request.plan, "plan")
+        request.plan.refuse_exposures("a data set")
         caps = rig.projector.caps
         self._patterns = make_patterns(request.plan, caps.size, caps.lattice)
         _check_ranges(rig, request.scenes)

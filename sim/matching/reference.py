@@ -53,6 +53,7 @@ class Reference:
         response: Response | None = None,
     ) -> Reference:
         """Choose the sessions whose poses the characterisation used."""
+        sessions[0].plan.refuse_exposures("matching")
         by_name = {session.path.name: session for session in sessions}
         used = tuple(by_name[o.name] for o in characterisation.observations)
         return cls(used, target, characterisation, response)

@@ -5,6 +5,7 @@ the sensor's noise drawn again for every draw. They are decoded, triangulated an
 so that the prediction is that of a whole synthesis but for the sample.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,11 @@ from fpplab.clouds import Cloud
 from fpplab.clouds.cloud import CloudPoints
 from fpplab.comparison.alignment import LIMITS, AlignmentMesh, refine_pose
 from fpplab.core import config
-from fpplab.core.conventions import Floats, Map, Mask
+from fpplab.core.conventions import Floats, Image, Map, Mask
 from fpplab.core.depth import first_stated
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.geometry import RigidTransform
+from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Rows
 from fpplab.patterns.fringes import make_patterns
@@ -29,6 +31,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.phase.bounds import DecodingBounds, PossibleCoordinates, PredictedCoordinate
+from fpplab.phase.exposures import merged_recording
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import coordinate_noise
@@ -134,7 +137,7 @@ def predict(
         item=item,
         figures=figures,
         lengths=lengths,
-        images=len(study.patterns),
+        images=plan.frames,
         pixels=int(np.count_nonzero(shape.counted)),
         stripes=plan.most_stripes,
         discrepancy=discrepancy,
@@ -186,8 +189,8 @@ def noise_by_surface(world: World, item: str, discrepancy: Discrepancy | None) -
 def plan_seconds(rig: Rig, plan: Plan) -> float:
     """Compute how long the images of a plan take, by what the devices state of themselves."""
     camera = rig.camera.caps
-    images = sum(fringe.images for fringe in plan.fringes)
-    return images * (plan.exposure_s + camera.readout_s + camera.dark_s + plan.settle_s)
+    other_s = camera.readout_s + camera.dark_s + plan.settle_s
+    return plan.images * sum(exposure_s + other_s for exposure_s in plan.exposures)
 
 
 def choose_sampled_rows(item_mask: Mask, pixels: int, margin: int = MARGIN) -> tuple[Rows, Rows]:
@@ -228,13 +231,24 @@ class _Sampled:
         self.bounds = decoding_bounds(self.plan, self.calibration, depth)
 
     def measured(self, seed: int) -> tuple[Decoded, Cloud]:
-        settings = self.rig.camera_settings(self.plan.exposure_s, self.plan.bits)
-        frames = self.sampler.frames(self.item, self.patterns, settings, self.rows, seed)
+        several = [self.rig.camera_settings(each, self.plan.bits) for each in self.plan.exposures]
+        frames = [
+            frame
+            for k, settings in enumerate(several)
+            for frame in self.sampler.frames(
+                self.item, self.patterns, settings, self.rows, seed + DRAWN_SCANS * k
+            )
+        ]
         projector, name = self.calibration.projector, f"the sample of the {self.item}"
         size, lattice = projector.size, projector.lattice
-        recording = Recording(frames, self.plan, size, settings.bits, name, lattice=lattice)
+        recording = Recording(frames, self.plan, size, several[0].bits, name, lattice=lattice)
+        if self.plan.exposures_s:
+            recording = merged_recording(recording, self.plan.exposures_s)
         decoded = self._placed(decode(recording, bounds=self._bounds_of_rows()))
         return points_of(decoded, self.calibration, self.plan)
+
+    def _frames(self, settings: CameraSettings, seed: int) -> Sequence[Image]:
+        return self.sampler.frames(self.item, self.patterns, settings, self.rows, seed)
 
     def _bounds_of_rows(self) -> DecodingBounds:
         def of_rows(

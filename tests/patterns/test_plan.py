@@ -122,3 +122,21 @@ def test_fringes_of_another_projector_are_refused(tmp_path: Path) -> None:
         ConfigError, match=r"s: 'projector_size' is \[64, 48\] but the projector has \[48, 64\]"
     ):
         plan.check_projector((48, 64), "s")
+
+
+def test_exposures_are_several_for_every_image(tmp_path: Path) -> None:
+    plan = plan_of(GOOD, tmp_path)
+    assert (plan.exposures, plan.frames) == ((0.02,), 22)
+    assert "exposures_s" not in config.dump(plan)
+    several = plan_of(GOOD.replace("exposure_s: 2e-2", "exposures_s: [0.08, 0.005, 0.02]"), tmp_path)
+    assert (several.exposures, several.images, several.frames) == ((0.08, 0.005, 0.02), 22, 66)
+    assert several.exposure_s == 0.02  # that of single pictures: in the middle
+    assert plan_of(config.dump(several), tmp_path) == several
+    with pytest.raises(ConfigError, match="plan: 'exposures_s' has 3 exposures, but a search takes one"):
+        several.refuse_exposures("a search")
+
+
+@pytest.mark.parametrize("wrong", ["[0.02]", "[0.02, 0.02]", "[0.02, 0]", "0.02", "[0.02, long]"])
+def test_wrong_exposures_are_refused(tmp_path: Path, wrong: str) -> None:
+    with pytest.raises(ConfigError, match="exposures_s"):
+        plan_of(GOOD.replace("exposure_s: 2e-2", f"exposures_s: {wrong}"), tmp_path)

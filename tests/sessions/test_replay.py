@@ -44,6 +44,25 @@ def test_the_recording_is_measured_again(tmp_path: Path) -> None:
     assert again.projector() == ((64, 48), Lattice.SQUARE)
 
 
+def test_every_exposure_is_measured_again(tmp_path: Path) -> None:
+    plan = PLAN.model_copy(update={"exposures_s": (0.08, 0.02)})
+    recorded = Session.create(tmp_path / "recorded", plan)
+    for index in range(8):
+        settings = CameraSettings(plan.exposures[index // 4])
+        shown = frame(index % 4, image=image_of(index))
+        recorded.write(replace(shown, index=index, settings=settings))
+    with rig_of(tmp_path) as rig:
+        again = Session.create(tmp_path / "again", plan, rig.described())
+        acquire(rig, plan, again)
+    assert [record.exposure_s for record in again.records] == [0.08] * 4 + [0.02] * 4
+    for index in range(8):
+        np.testing.assert_array_equal(again.read(index), image_of(index))
+    first, second = again.passes()
+    np.testing.assert_array_equal(second.frames[1], image_of(5))
+    assert len(first.frames) == 4
+    assert Session.open(again.path).missing() == []
+
+
 def test_new_frames_are_not_read_back_for_their_checksums(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -138,7 +138,7 @@ def straightened(
     # Without harmonics the troughs lie below zero.
     shares = TROUGH + CREST * np.concatenate(levels) / full
     deep = np.rint(MAX_LEVEL * shares.clip(0.0, 1.0)).astype(np.uint16)
-    return replace(sampled, frames=list(deep), bits=16), straight, bends
+    return replace(sampled, frames=list(deep), bits=16, merged=None), straight, bends
 
 
 def check_plan_fit(
@@ -152,7 +152,7 @@ def check_plan_fit(
     sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale, check_limits)
     if sample is None:
         return None
-    sampled = replace(recording, frames=[np.ascontiguousarray(f[sample.rows]) for f in recording.frames])
+    sampled = recording.part(sample.rows)
     trial = _Trial.of(sampled, sets, sample)
     trials = [trial]
     if not trial.agrees and (straight := straightened(recording, sampled, sample)):

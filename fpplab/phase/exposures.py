@@ -1,0 +1,241 @@
+"""Frames of several exposures become one frame for each pattern, with the noise of a camera's frame.
+
+A pixel sees the level `black + s x` in an exposure of relative length s, of light x. Its samples of one
+pattern are averaged with the inverse of their variances, `(constant + per_level s x) / s²`; saturated samples
+are left out one by one. The mean is then given that scale, common to all patterns of the pixel, at which a
+camera's level has the variance of the mean. So everything that decodes, checks and judges frames of one
+exposure, with noise as a line over the level, holds for merged frames too. A pattern without any sample is
+saturated.
+
+Black, the exposures' true ratios and the noise follow from the frames: exposures of the same light must
+agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from fpplab.core import buffers
+from fpplab.core.conventions import Floats, Image, full_scale, raw_per_grey
+from fpplab.core.errors import DataError
+from fpplab.patterns.recording import MergedLevels, Recording
+from fpplab.phase.chunks import compiled
+from fpplab.phase.limits import EXPOSURES, NOISE
+from fpplab.phase.noise import QUANTISATION, NoiseModel, fit_line, level_step
+
+_BLOCK = 30_000  # pixels that one thread merges at a time (chosen: no power of two, which caches dislike)
+_BITS = 16  # depth of merged frames
+_MISSING = full_scale(_BITS)
+
+
+@dataclass(frozen=True, eq=False)
+class ExposureModel:
+    """How the levels of a camera answer to light, in its raw levels."""
+
+    black: float  # level without light
+    shares: Floats  # light that each exposure collects, as a share of that of the longest
+    noise: NoiseModel  # of a raw level, by how much it is above black
+    saturation: float  # level from which on a sample is saturated
+
+    @property
+    def offset(self) -> float:
+        """Level that merged frames have without light, so that noise does not fall below 0."""
+        # Not above the level at which the line of the noise, seen from it, still begins above 0.
+        return min(max(self.black, 0.0), 0.5 * self.noise.constant / max(self.noise.per_level, 1e-12))
+
+
+def merged_recording(recording: Recording, exposures_s: Sequence[float]) -> Recording:
+    """Merge the frames of a plan taken at several exposures, one whole plan after another."""
+    shown = recording.plan.images
+    if len(recording.frames) != shown * len(exposures_s):
+        raise DataError(
+            f"{recording.name}: holds {len(recording.frames)} frames, but the plan takes {shown} at each of "
+            f"{len(exposures_s)} exposures; give all of them"
+        )
+    model = exposure_model(recording, exposures_s)
+    height, width = recording.frames[0].shape
+    merged = buffers.empty((shown, height * width), np.uint16)
+    scale = buffers.empty(height * width, np.float32)
+    flat = [frame.reshape(-1) for frame in recording.frames]
+    unit = 2.0 ** (_BITS - recording.bits) / EXPOSURES.headroom
+    line, offset = (model.noise.constant, model.noise.per_level), model.offset
+    camera = (model.shares, model.black, *line, model.saturation, offset, unit)
+
+    def merge(start: int) -> None:
+        part = slice(start, start + _BLOCK)
+        levels = np.stack([frame[part] for frame in flat]).reshape(len(exposures_s), shown, -1)
+        _merge(levels, camera, merged[:, part], scale[part])
+
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(merge, range(0, height * width, _BLOCK)))
+    grey = 1.0 / raw_per_grey(recording.bits)
+    noise = grey**2 * (line[0] - line[1] * offset), grey * line[1]
+    of_light = MergedLevels(EXPOSURES.headroom, scale.reshape(height, width), noise)
+    frames = [frame.reshape(height, width) for frame in merged]
+    return replace(recording, frames=frames, bits=_BITS, merged=of_light)
+
+
+@compiled
+def _merge(levels: Any, camera: Any, merged: Any, scale: Any) -> None:
+    # levels (J, N, P) raw; merged (N, P); scale (P,)
+    shares, black, constant, per_level, saturation, offset, unit = camera
+    exposures, patterns, pixels = levels.shape
+    mean, variance, weights = np.empty(patterns), np.empty(patterns), np.empty(exposures)
+    for p in range(pixels):
+        light, collected = 0.0, 0.0
+        for j in range(exposures):
+            for n in range(patterns):
+                if levels[j, n, p] < saturation:
+                    light += levels[j, n, p] - black
+                    collected += shares[j]
+        light = max(light / max(collected, 1e-30), 0.0)
+        for j in range(exposures):
+            weights[j] = shares[j] * shares[j] / (constant + per_level * shares[j] * light)
+        low, high, total, count = np.inf, -np.inf, 0.0, 0
+        for n in range(patterns):
+            weight, moment, fixed, rising = 0.0, 0.0, 0.0, 0.0
+            for j in range(exposures):
+                if levels[j, n, p] < saturation:
+                    relative = weights[j] / shares[j]
+                    weight += weights[j]
+                    moment += relative * (levels[j, n, p] - black)
+                    fixed += relative * relative * constant
+                    rising += relative * weights[j] * per_level
+            variance[n] = np.inf
+            if weight > 0.0:
+                mean[n] = moment / weight
+                variance[n] = (fixed + rising * max(mean[n], 0.0)) / (weight * weight)
+                low, high = min(low, mean[n]), max(high, mean[n])
+                total += mean[n]
+                count += 1
+        factor = 1.0
+        if count > 0:
+            spread = _spread(mean, variance, 0.5 * (low + high), 0.5 * (high - low))
+            rising = per_level * max(total / count, 0.0)
+            factor = 0.5 * (rising + np.sqrt(rising * rising + 4.0 * spread * constant)) / spread
+            if unit * (factor * high + offset) > _MISSING - 1:
+                factor = ((_MISSING - 1) / unit - offset) / high
+        scale[p] = factor
+        for n in range(patterns):
+            level = np.rint(unit * (factor * mean[n] + offset)) if np.isfinite(variance[n]) else _MISSING
+            merged[n, p] = np.uint16(max(level, 0.0))
+
+
+@compiled
+def _spread(mean: Any, variance: Any, offset: float, amplitude: float) -> float:
+    """Variance of the levels as it counts for a phase: those at crests and troughs say nothing of it."""
+    total, counted = 0.0, 0.0
+    for n in range(len(mean)):
+        if np.isfinite(variance[n]):
+            away = (mean[n] - offset) / max(amplitude, 1e-30)
+            weight = max(1.0 - away * away, EXPOSURES.min_slope)
+            total += weight * variance[n]
+            counted += weight
+    return total / counted
+
+
+def exposure_model(recording: Recording, exposures_s: Sequence[float]) -> ExposureModel:
+    """Find black, true ratios and noise from pixels that several exposures show unsaturated."""
+    samples = _samples(recording, len(exposures_s))
+    step = level_step(samples)
+    saturation = np.floor(full_scale(recording.bits) - step) + 1
+    order = np.argsort(exposures_s)
+    pairs = [_Pair.of(samples[i], samples[j], saturation) for i, j in pairwise(order)]
+    nominal = [exposures_s[i] / exposures_s[j] for i, j in pairwise(order)]
+    grey = 2.0 ** (recording.bits - 8)
+    black, ratios = _black_and_ratios(pairs, nominal, grey)
+    for pair, ratio, expected in zip(pairs, ratios, nominal, strict=True):
+        if abs(ratio / expected - 1.0) > EXPOSURES.max_ratio_error or not pair.is_linear(black, ratio):
+            raise DataError(
+                f"{recording.name}: between exposures whose times have the ratio {expected:.4g}, levels have "
+                f"the ratio {ratio:.4g}, or none: merging needs levels in proportion to light; switch the "
+                "camera's gamma and automatic gain off, and let nothing change during the measurement"
+            )
+    shares = np.empty(len(exposures_s))
+    shares[order] = np.cumprod([1.0, *ratios[::-1]])[::-1]
+    return ExposureModel(black, shares, _noise(pairs, ratios, black, step), float(saturation))
+
+
+def _samples(recording: Recording, exposures: int) -> Image:
+    """Pairs of neighbouring pixels, spread over the image, (J, N, P, 2)."""
+    height, width = recording.frames[0].shape
+    rows = max(1, height // NOISE.sample_rows)
+    columns = 2 * max(1, height // rows * width // (2 * NOISE.sample_pixels))
+    used = width - 1
+    first = [f[rows // 2 :: rows, :used:columns].ravel() for f in recording.frames]
+    beside = [f[rows // 2 :: rows, 1::columns].ravel() for f in recording.frames]
+    picked = np.stack([first, beside], axis=-1)
+    paired: Image = picked.reshape(exposures, -1, *picked.shape[1:])
+    return paired
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Samples that a shorter and the next longer exposure show unsaturated, and means over bins of them."""
+
+    short: Floats  # (K,) raw levels
+    long: Floats  # (K,)
+    means: Floats  # (B, 2) of short and long
+    count: Floats  # (B,) samples of each bin
+
+    @classmethod
+    def of(cls, short: Image, long: Image, saturation: float) -> _Pair:
+        # Bins are by the neighbouring pixel, whose noise is another: those by a sample's own level would have
+        # the mean of its noise.
+        beside = long[..., 1]
+        used = (long[..., 0] < saturation) & (beside < EXPOSURES.max_level * saturation)
+        levels = short[..., 0][used].astype(np.float64), long[..., 0][used].astype(np.float64)
+        bins = min(EXPOSURES.bins, levels[0].size // NOISE.min_pixels_per_bin)
+        parts = np.array_split(np.argsort(beside[used], kind="stable"), bins) if bins else []
+        # Noise that is cut off at zero has another mean.
+        whole = [part for part in parts if (levels[0][part] == 0).mean() < EXPOSURES.max_black_share]
+        means = np.array([[level[part].mean() for level in levels] for part in whole]).reshape(-1, 2)
+        return cls(*levels, means, np.array([float(len(part)) for part in whole]))
+
+    def is_linear(self, black: float, ratio: float) -> bool:
+        if len(self.count) < 2:
+            return True
+        rest = self.means[:, 0] - black - ratio * (self.means[:, 1] - black)
+        return bool(
+            np.sqrt(np.mean(rest**2)) <= EXPOSURES.max_misfit * max(self.means[:, 0].max() - black, 1.0)
+        )
+
+
+def _black_and_ratios(pairs: Sequence[_Pair], nominal: Sequence[float], grey: float) -> tuple[float, Floats]:
+    """Least squares of `short - black = ratio (long - black)`, beside what is expected of both."""
+    expected = np.array([0.0, *nominal])
+    spread = np.array([EXPOSURES.black_prior * grey, *(EXPOSURES.ratio_prior * np.array(nominal))])
+    fitted = expected.copy()
+    for _ in range(EXPOSURES.fit_passes):
+        rows, rest = [np.diag(1.0 / spread)], [(expected - fitted) / spread]
+        black = fitted[0]
+        for k, (pair, ratio) in enumerate(zip(pairs, fitted[1:], strict=True), start=1):
+            weight, (short, long) = np.sqrt(pair.count) / grey, (pair.means - black).T
+            slopes = np.zeros((len(weight), len(fitted)))
+            slopes[:, 0], slopes[:, k] = weight * (1.0 - ratio), weight * long
+            rows.append(slopes)
+            rest.append(weight * (short - ratio * long))
+        fitted = fitted + np.linalg.lstsq(np.concatenate(rows), np.concatenate(rest), rcond=None)[0]
+    return float(fitted[0]), fitted[1:]
+
+
+def _noise(pairs: Sequence[_Pair], ratios: Floats, black: float, step: float) -> NoiseModel:
+    """The line through the variances of what two exposures of the same light differ by."""
+    levels, variances = [], []
+    for pair, ratio in zip(pairs, ratios, strict=True):
+        short, long = pair.short - black, pair.long - black
+        size = 1.0 + ratio**2
+        # The likeliest light, whose noise is independent of the difference.
+        light = ratio * (ratio * short + long) / size
+        levels.append((1.0 + ratio) * light / size)
+        variances.append((short - ratio * long) ** 2 / size)
+    level, variance = np.concatenate(levels), np.concatenate(variances)
+    if level.size < NOISE.min_pixels:
+        return NoiseModel(QUANTISATION * step**2, 0.0, step)
+    return fit_line(level, variance, 1, step)
