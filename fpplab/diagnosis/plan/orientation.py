@@ -195,8 +195,7 @@ def _prepared(recording: Recording, limits: PlanCheckLimits) -> tuple[Sets, Reco
     sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale, limits)
     if sample is None:
         return None
-    frames = [np.ascontiguousarray(f[sample.rows]) for f in recording.frames]
-    return sets, replace(recording, frames=frames), sample
+    return sets, recording.part(sample.rows), sample
 
 
 def _placed(sampled: Recording, sets: Sets, sample: PhaseSample) -> PlacedSample:
