@@ -26,7 +26,7 @@ AnySet = Annotated[PatternSet, TaggedUnion(default="sinusoid")]
 """A set of patterns of any kind; a sinusoid where no `kind` is given."""
 
 
-Exposure = Annotated[float, Field(gt=0, le=60)]
+_Exposure = Annotated[float, Field(gt=0, le=60)]
 """In s."""
 
 
@@ -130,11 +130,11 @@ class Plan(Document):
 
     Without a calibration there is no coordinate along it, and a characterisation cannot use the plan.
     """
-    exposures_s: Annotated[tuple[Exposure, ...] | None, Field(min_length=2, max_length=8)] = None
+    exposures_s: Annotated[tuple[_Exposure, ...] | None, Field(min_length=2, max_length=8)] = None
     """Exposures in s of which each takes every pattern, for surfaces of which no exposure suits all; all
     patterns are shown at the first, then at the next. By default `exposure_s` alone.
     """
-    exposure_s: Exposure = Field(default_factory=_single_exposure)
+    exposure_s: _Exposure = Field(default_factory=_single_exposure)
     """Exposure of every frame, in s; with `exposures_s`, of what takes single pictures, such as `live`."""
     bits: Literal[8, 10, 12, 16] | None = None
     """Depth of the camera's grey levels, which the camera must offer; by default that of the rig file.
