@@ -58,12 +58,20 @@ def merged_recording(recording: Recording, exposures_s: Sequence[float]) -> Reco
             f"{recording.name}: holds {len(recording.frames)} frames, but the plan takes {shown} at each of "
             f"{len(exposures_s)} exposures; give all of them"
         )
-    model = exposure_model(recording, exposures_s)
-    height, width = recording.frames[0].shape
+    frames, levels, _ = merge_frames(recording.frames, recording.bits, exposures_s, recording.name)
+    return replace(recording, frames=frames, bits=_BITS, merged=levels)
+
+
+def merge_frames(
+    frames: Sequence[Image], bits: int, exposures_s: Sequence[float], name: str
+) -> tuple[list[Image], MergedLevels, ExposureModel]:
+    """Merge the frames of several exposures, those of one after those of another, into frames of 16 bits."""
+    model = exposure_model(frames, bits, exposures_s, name)
+    (height, width), shown = frames[0].shape, len(frames) // len(exposures_s)
     merged = buffers.empty((shown, height * width), np.uint16)
     scale = buffers.empty(height * width, np.float32)
-    flat = [frame.reshape(-1) for frame in recording.frames]
-    unit = 2.0 ** (_BITS - recording.bits) / EXPOSURES.headroom
+    flat = [frame.reshape(-1) for frame in frames]
+    unit = 2.0 ** (_BITS - bits) / EXPOSURES.headroom
     line, offset = (model.noise.constant, model.noise.per_level), model.offset
     camera = (model.shares, model.black, *line, model.saturation, offset, unit)
 
@@ -74,11 +82,10 @@ def merged_recording(recording: Recording, exposures_s: Sequence[float]) -> Reco
 
     with ThreadPoolExecutor() as pool:
         list(pool.map(merge, range(0, height * width, _BLOCK)))
-    grey = 1.0 / raw_per_grey(recording.bits)
+    grey = 1.0 / raw_per_grey(bits)
     noise = grey**2 * (line[0] - line[1] * offset), grey * line[1]
     of_light = MergedLevels(EXPOSURES.headroom, scale.reshape(height, width), noise)
-    frames = [frame.reshape(height, width) for frame in merged]
-    return replace(recording, frames=frames, bits=_BITS, merged=of_light)
+    return [frame.reshape(height, width) for frame in merged], of_light, model
 
 
 @compiled
@@ -140,20 +147,22 @@ def _spread(mean: Any, variance: Any, offset: float, amplitude: float) -> float:
     return total / counted
 
 
-def exposure_model(recording: Recording, exposures_s: Sequence[float]) -> ExposureModel:
+def exposure_model(
+    frames: Sequence[Image], bits: int, exposures_s: Sequence[float], name: str
+) -> ExposureModel:
     """Find black, true ratios and noise from pixels that several exposures show unsaturated."""
-    samples = _samples(recording, len(exposures_s))
+    samples = _samples(frames, len(exposures_s))
     step = level_step(samples)
-    saturation = np.floor(full_scale(recording.bits) - step) + 1
+    saturation = np.floor(full_scale(bits) - step) + 1
     order = np.argsort(exposures_s)
     pairs = [_Pair.of(samples[i], samples[j], saturation) for i, j in pairwise(order)]
     nominal = [exposures_s[i] / exposures_s[j] for i, j in pairwise(order)]
-    grey = 2.0 ** (recording.bits - 8)
-    black, ratios = _black_and_ratios(pairs, nominal, grey)
+    grey = 2.0 ** (bits - 8)
+    black, ratios = _black_and_ratios(pairs, nominal, grey, step)
     for pair, ratio, expected in zip(pairs, ratios, nominal, strict=True):
-        if abs(ratio / expected - 1.0) > EXPOSURES.max_ratio_error or not pair.is_linear(black, ratio):
+        if abs(ratio / expected - 1.0) > EXPOSURES.max_ratio_error or not pair.is_linear(black, ratio, step):
             raise DataError(
-                f"{recording.name}: between exposures whose times have the ratio {expected:.4g}, levels have "
+                f"{name}: between exposures whose times have the ratio {expected:.4g}, levels have "
                 f"the ratio {ratio:.4g}, or none: merging needs levels in proportion to light; switch the "
                 "camera's gamma and automatic gain off, and let nothing change during the measurement"
             )
@@ -162,14 +171,14 @@ def exposure_model(recording: Recording, exposures_s: Sequence[float]) -> Exposu
     return ExposureModel(black, shares, _noise(pairs, ratios, black, step), float(saturation))
 
 
-def _samples(recording: Recording, exposures: int) -> Image:
+def _samples(frames: Sequence[Image], exposures: int) -> Image:
     """Pairs of neighbouring pixels, spread over the image, (J, N, P, 2)."""
-    height, width = recording.frames[0].shape
+    height, width = frames[0].shape
     rows = max(1, height // NOISE.sample_rows)
     columns = 2 * max(1, height // rows * width // (2 * NOISE.sample_pixels))
     used = width - 1
-    first = [f[rows // 2 :: rows, :used:columns].ravel() for f in recording.frames]
-    beside = [f[rows // 2 :: rows, 1::columns].ravel() for f in recording.frames]
+    first = [f[rows // 2 :: rows, :used:columns].ravel() for f in frames]
+    beside = [f[rows // 2 :: rows, 1::columns].ravel() for f in frames]
     picked = np.stack([first, beside], axis=-1)
     paired: Image = picked.reshape(exposures, -1, *picked.shape[1:])
     return paired
@@ -191,23 +200,24 @@ class _Pair:
         beside = long[..., 1]
         used = (long[..., 0] < saturation) & (beside < EXPOSURES.max_level * saturation)
         levels = short[..., 0][used].astype(np.float64), long[..., 0][used].astype(np.float64)
-        bins = min(EXPOSURES.bins, levels[0].size // NOISE.min_pixels_per_bin)
-        parts = np.array_split(np.argsort(beside[used], kind="stable"), bins) if bins else []
+        bins = (EXPOSURES.bins / (EXPOSURES.max_level * saturation) * beside[used]).astype(np.intp)
+        parts = [np.flatnonzero(bins == k) for k in range(EXPOSURES.bins)]
+        parts = [part for part in parts if len(part) >= NOISE.min_pixels_per_bin]
         # Noise that is cut off at zero has another mean.
         whole = [part for part in parts if (levels[0][part] == 0).mean() < EXPOSURES.max_black_share]
         means = np.array([[level[part].mean() for level in levels] for part in whole]).reshape(-1, 2)
         return cls(*levels, means, np.array([float(len(part)) for part in whole]))
 
-    def is_linear(self, black: float, ratio: float) -> bool:
+    def is_linear(self, black: float, ratio: float, step: float) -> bool:
         if len(self.count) < 2:
             return True
-        rest = self.means[:, 0] - black - ratio * (self.means[:, 1] - black)
-        return bool(
-            np.sqrt(np.mean(rest**2)) <= EXPOSURES.max_misfit * max(self.means[:, 0].max() - black, 1.0)
-        )
+        rest, highest = self.means @ [1.0, -ratio] - (1.0 - ratio) * black, self.means[:, 0].max() - black
+        return bool(np.sqrt(np.mean(rest**2)) <= EXPOSURES.max_misfit * highest + 0.5 * step)
 
 
-def _black_and_ratios(pairs: Sequence[_Pair], nominal: Sequence[float], grey: float) -> tuple[float, Floats]:
+def _black_and_ratios(
+    pairs: Sequence[_Pair], nominal: Sequence[float], grey: float, step: float
+) -> tuple[float, Floats]:
     """Least squares of `short - black = ratio (long - black)`, beside what is expected of both."""
     expected = np.array([0.0, *nominal])
     spread = np.array([EXPOSURES.black_prior * grey, *(EXPOSURES.ratio_prior * np.array(nominal))])
@@ -216,7 +226,9 @@ def _black_and_ratios(pairs: Sequence[_Pair], nominal: Sequence[float], grey: fl
         rows, rest = [np.diag(1.0 / spread)], [(expected - fitted) / spread]
         black = fitted[0]
         for k, (pair, ratio) in enumerate(zip(pairs, fitted[1:], strict=True), start=1):
-            weight, (short, long) = np.sqrt(pair.count) / grey, (pair.means - black).T
+            # Where noise is small, a level is rounded the same way every time.
+            weight = 1.0 / np.sqrt(grey**2 / pair.count + QUANTISATION * step**2)
+            short, long = (pair.means - black).T
             slopes = np.zeros((len(weight), len(fitted)))
             slopes[:, 0], slopes[:, k] = weight * (1.0 - ratio), weight * long
             rows.append(slopes)
@@ -235,7 +247,12 @@ def _noise(pairs: Sequence[_Pair], ratios: Floats, black: float, step: float) ->
         light = ratio * (ratio * short + long) / size
         levels.append((1.0 + ratio) * light / size)
         variances.append((short - ratio * long) ** 2 / size)
-    level, variance = np.concatenate(levels), np.concatenate(variances)
+    level, variance = np.concatenate([*levels, np.empty(0)]), np.concatenate([*variances, np.empty(0)])
     if level.size < NOISE.min_pixels:
         return NoiseModel(QUANTISATION * step**2, 0.0, step)
-    return fit_line(level, variance, 1, step)
+    # Equally many of all levels, where there are: a dark background would leave a single bin for the scene.
+    ranges = (EXPOSURES.bins * level / level.max()).astype(np.intp)
+    even = np.concatenate(
+        [np.flatnonzero(ranges == k)[: EXPOSURES.max_in_bin] for k in range(EXPOSURES.bins)]
+    )
+    return fit_line(level[even], variance[even], 1, step)

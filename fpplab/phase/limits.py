@@ -141,6 +141,7 @@ class ExposureMergeLimits(NamedTuple):
     """Share of samples at level 0 from which on a mean of them is left out. Chosen: noise is cut off
     there."""
     bins: int = 48  # bins of levels through whose means the ratio of two exposures is fitted (chosen)
+    max_in_bin: int = 4000  # samples of a bin that noise is estimated from (chosen: it is then known to 2 %)
     black_prior: float = 8.0  # expected standard deviation of the black level, in grey levels (chosen)
     ratio_prior: float = 0.03
     """Expected standard deviation of a ratio of exposures, relative to that of their times. Chosen."""

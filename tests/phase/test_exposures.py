@@ -99,7 +99,7 @@ def test_a_pixel_saturated_in_every_exposure_stays_saturated() -> None:
 def test_black_ratios_and_noise_follow_from_the_frames() -> None:
     """Also where the camera's true exposures are others than it says."""
     stated = EXPOSURES_S[0], 1.02 * EXPOSURES_S[1], EXPOSURES_S[2]
-    model = exposure_model(raw_recording(FRINGES, 5), stated)
+    model = exposure_model(raw_recording(FRINGES, 5).frames, 8, stated, "frames")
     assert model.black == pytest.approx(BLACK, abs=0.2)
     np.testing.assert_allclose(model.shares, (0.01, 0.1, 1.0), rtol=0.01)
     per_level = (255.0 - BLACK) / FULL_E

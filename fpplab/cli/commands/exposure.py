@@ -1,0 +1,67 @@
+"""`fpplab exposure`: which exposures suit a scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import PREPARE, Force, Json, PlanName, RigName, app
+from fpplab.cli.completion import option
+
+
+@app.command("exposure", rich_help_panel=PREPARE)
+def exposure_command(
+    rig: RigName,
+    plan: PlanName = "plan_scan.yaml",
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=0.01, help="Time that the frames of the plan may take.")
+    ] = 30.0,
+    calibration: Annotated[
+        Path | None, option("--calibration", "Written by `fpplab characterise`: gives the noise in µm.")
+    ] = None,
+    item: Annotated[str | None, option("--item", "Have the rig's fixture put this up first.")] = None,
+    pose: Annotated[int, option("--pose", "In which of its poses.", min=0)] = 0,
+    out: Annotated[Path | None, option("--out", "The plan with these exposures.")] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Find the one to four exposures that measure most of the scene with least noise in the time.
+
+    Shows white, black and two images of the plan's finest fringes at several exposures. `completeness` is the
+    share of the pixels that see the projector, `sigma_px` the noise of the coordinate along the first axis.
+
+    Example: `fpplab exposure --rig rig_demo --plan plan_scan --seconds 20 --out plan_exposures.yaml`
+    """
+    from fpplab.calibration.model import Calibration
+    from fpplab.core.config import dump
+    from fpplab.core.files import need_suffix, refuse_existing, write_text
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
+    from fpplab.setup.exposures import choose_exposures, measure_light, um_per_px
+
+    if out:
+        need_suffix(out, ".yaml", ".yml")
+        refuse_existing(out, force)
+    loaded = Plan.load(plan)
+    known = Calibration.load(calibration) if calibration else None
+    with Rig.load(rig) as bench:
+        if item:
+            bench.need_fixture(f"--item {item}").mount(item, pose)
+        light, limits, other_s = measure_light(bench, loaded, seconds)
+        choice = choose_exposures(light, loaded, bench.projector.caps.size, limits, seconds, other_s)
+    several = choice.exposures_s
+    changed = {"exposure_s": several[len(several) // 2], "exposures_s": several if len(several) > 1 else None}
+    if out:
+        write_text(out, dump(loaded.model_copy(update=changed)))
+    answer: dict[str, Any] = {
+        "exposures_s": list(several),
+        "seconds": choice.seconds,
+        "completeness": choice.completeness,
+        "sigma_px": choice.sigma_px,
+        "sigma_um": choice.sigma_px * um_per_px(known, loaded) if known else None,
+        "plan": str(out) if out else None,
+    }
+    console.print_result(answer, json)
