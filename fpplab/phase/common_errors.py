@@ -47,6 +47,7 @@ class CommonErrors:
     drift_rad: float = 0.0  # RMS phase error, twice in a period, by a picture that walks during the set
     explained: float = 0.0  # mean square of what gains and harmonics leave beside sinusoids, per B²
     scatter: float = 1.0  # variance of the phase beside that of the noise of grey levels
+    misfit_scatter: float = 1.0  # the same of what sinusoids leave
     blur_px2: float = 0.0  # variance of the blur in px²; negative where frames are sharpened
 
     @property

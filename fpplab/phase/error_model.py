@@ -87,7 +87,11 @@ def misfit_limits(errors: CommonErrors) -> tuple[float, float, float]:
     if freedom <= 0:
         return 0.0, 1.0, 0.0
     # What is explained depends on the phase: at most twice the mean.
-    return errors.images / (freedom * errors.scatter), surprising_power(freedom), 2.0 * errors.explained
+    return (
+        errors.images / (freedom * errors.misfit_scatter),
+        surprising_power(freedom),
+        2.0 * errors.explained,
+    )
 
 
 def error_model_of(recording: Recording) -> ErrorModel:

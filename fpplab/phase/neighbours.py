@@ -142,11 +142,16 @@ class _PhasesInTiles:
         beyond = max(0.0, ripple_rad**2 - float(np.nan_to_num(errors.harmonic_rad)) ** 2)
         if fit is None:
             nearest = float(np.square(rest[kept]).mean())
-            scatter = self._scatter_of_three_steps(others, nearest, strengths, shapes)
+            misfit = scatter = self._scatter_of_three_steps(others, nearest, strengths, shapes)
         else:
-            scatter = self._scatter(self._residuals(fit), rest.reshape(2, -1), kept.reshape(2, -1))
-        ripple_rad = float(np.sqrt(beyond))
-        return replace(errors, ripple_rad=ripple_rad, scatter=scatter, blur_px2=float(strengths[0]))
+            bends, power = self._scatter(self._residuals(fit), rest.reshape(2, -1), kept.reshape(2, -1))
+            misfit = scatter = max(bends, 1.0) * power
+            far = self._variance_of_distant_bends(strengths, shapes) if bends < 1.0 else None
+            if far is not None:  # what a filter bends besides noise is in the residuals, not in the phases
+                nearest = float(np.square(rest[kept]).mean())
+                scatter = min(misfit, max(nearest, far) / self._variance_of_noise())
+        found = replace(errors, ripple_rad=float(np.sqrt(beyond)), blur_px2=float(strengths[0]))
+        return replace(found, scatter=scatter, misfit_scatter=misfit)
 
     def _residuals(self, fit: HarmonicsFit) -> Floats:
         """What sinusoids, gains and harmonics leave, each as noisy as a level."""
@@ -178,15 +183,21 @@ class _PhasesInTiles:
         # shapes (3, T, side, side)
         if not _are_correlated(self._change_of_offset(others), self.used):
             return 1.0
-        # Neighbours share some of the noise of filtered frames; pixels further apart do not.
-        second, third = (self._mean_square_bend(apart, strengths, shapes) for apart in (2, 3))
-        is_noise = third < NEIGHBOURS.max_growth * second
-        far = 0.5 * (second + third) if is_noise else nearest
-        per_power = _inner(self.noise.variance(self.fitted[0]) / np.square(self.modulation))[self.used]
-        noise = _SQUARE_OF_BEND * 2.0 / len(self.levels) * float(per_power.mean())
-        scatter = max(nearest, far) / noise
+        far = self._variance_of_distant_bends(strengths, shapes) or nearest
+        scatter = max(nearest, far) / self._variance_of_noise()
         # Beyond the limit it is a rough surface, or images without noise.
         return scatter if scatter < NEIGHBOURS.max_scatter else 1.0
+
+    def _variance_of_noise(self) -> float:
+        """Mean square of second differences that the noise of grey levels makes."""
+        per_power = _inner(self.noise.variance(self.fitted[0]) / np.square(self.modulation))[self.used]
+        return _SQUARE_OF_BEND * 2.0 / len(self.levels) * float(per_power.mean())
+
+    def _variance_of_distant_bends(self, strengths: Floats, shapes: Floats) -> float | None:
+        """Mean square of second differences over 2 and 3 px; None where it grows as no noise does."""
+        # Neighbours share some of the noise of filtered frames; pixels further apart do not.
+        second, third = (self._mean_square_bend(apart, strengths, shapes) for apart in (2, 3))
+        return 0.5 * (second + third) if third < NEIGHBOURS.max_growth * second else None
 
     def _mean_square_bend(self, apart: int, strengths: Floats, shapes: Floats) -> float:
         """Mean square of the second differences of pixels some px apart, beyond edges and ripple."""
@@ -201,12 +212,12 @@ class _PhasesInTiles:
         spread = robust_spread(values.ravel(), 1e-6)
         return float(np.square(values[np.abs(values) < NEIGHBOURS.outlier_sigmas * spread]).mean())
 
-    def _scatter(self, residuals: Floats, rest: Floats, kept: Mask) -> float:
-        """Variance of the phases beside that of noise; 1 where neighbours are independent."""
+    def _scatter(self, residuals: Floats, rest: Floats, kept: Mask) -> tuple[float, float]:
+        """Variance of the phases beside residuals, and of these beside noise; 1 of independent neighbours."""
         # residuals (R, T, side, side); rest (2, P); kept (2, P)
         count = len(self.levels)
         if not _are_correlated(residuals, self.used):
-            return 1.0
+            return 1.0, 1.0
         variance = _inner(self.noise.variance(self.fitted[0]))[self.used]
         power = np.square(_inner(residuals)[:, self.used]).mean(axis=0) / variance
         power = power[power < surprising_power(len(residuals))]
@@ -214,8 +225,8 @@ class _PhasesInTiles:
         noise = 2.0 / count * float(np.square(between).mean(axis=1)[kept].mean())
         scattered = float(np.square(rest[kept]).mean())
         if scattered >= NEIGHBOURS.max_scatter * noise:
-            return 1.0  # a rough surface, or images without noise
-        return max(scattered / noise, 1.0) * max(float(power.mean()), 1.0)
+            return 1.0, 1.0  # a rough surface, or images without noise
+        return scattered / noise, max(float(power.mean()), 1.0)
 
 
 def _inner(values: NDArray[S], margin: int = 2) -> NDArray[S]:

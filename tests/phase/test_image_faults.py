@@ -40,6 +40,15 @@ def test_sigma_holds_for_filtered_frames_of_three_steps(fault: str) -> None:
     assert 0.8 < stated / actual < 1.25
 
 
+@pytest.mark.whole_after(1)
+@pytest.mark.parametrize(("fault", "seed"), [("median", 8331), ("sharpened", 8330)])
+def test_sigma_is_not_that_of_what_a_filter_bends(fault: str, seed: int) -> None:
+    scene = drawn_scene(seed)
+    frames = SIGMA_JUDGED[fault](scene.frames, np.random.default_rng([44, seed]))
+    stated, actual = stated_and_actual(scene, decode(Recording(frames, scene.plan, PROJECTOR)))
+    assert 0.8 < stated / actual < 1.25
+
+
 def test_frames_as_the_sensor_gives_them_show_nothing() -> None:
     three_steps = drawn_scene(22, (3,))
     for recording in (damaged(FAULTS["healthy"]), Recording(three_steps.frames, three_steps.plan, PROJECTOR)):
