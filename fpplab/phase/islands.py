@@ -12,6 +12,7 @@ A step of a whole number of periods along all of an edge is invisible in one set
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -40,9 +41,9 @@ class Islands:
         return int(self.label.max(initial=0))
 
 
-def find_islands(phase: Floats, sigma_rad: Floats, usable: Mask) -> Islands:
+def find_islands(phase: Floats, sigma_rad: Floats, usable: Mask, window_px: float = 0.0) -> Islands:
     """Divide a wrapped phase into islands and unwrap it in each."""
-    # maps (height, width)
+    # maps (height, width); window_px is the standard deviation of the window that made the phase
     right = sound_links(phase, sigma_rad, usable)
     down = np.ascontiguousarray(sound_links(phase.T, sigma_rad.T, usable.T).T)
     whole = _uncut(right, down, usable)
@@ -50,15 +51,17 @@ def find_islands(phase: Floats, sigma_rad: Floats, usable: Mask) -> Islands:
     contradictory = np.zeros(phase.shape, np.bool_)
     near = _eroded(usable, ISLANDS.hole_px)
     count = 0
-    for reach in ISLANDS.step_px:
+    for step_px in ISLANDS.step_px:
+        reach = step_px + math.ceil(ISLANDS.window_reach * window_px)
         core = _eroded(whole, reach) & near & (label == 0)
         count, bad = _flood(unwrapped, right, down, core, label, count)
         for _ in range(2 * (reach + ISLANDS.hole_px)):  # into corners
-            _grow(unwrapped, right, down, label)
+            if not _grow(unwrapped, right, down, label):
+                break
         contradictory |= np.isin(label, bad)
     label[contradictory] = 0
     _join(unwrapped, phase, right, down, label, count)
-    label[_meeting(right, down, label)] = 0
+    label[_meeting(right, down, label) | _beside_steps(right, down, label)] = 0
     sizes = np.bincount(label.ravel())
     kept = sizes >= ISLANDS.min_pixels
     kept[0] = False
@@ -166,6 +169,16 @@ def _meeting(right: Mask, down: Mask, label: _Labels) -> Mask:
     return np.asarray(cv2.dilate(meeting, np.ones((side, side), np.uint8)) > 0)
 
 
+def _beside_steps(right: Mask, down: Mask, label: _Labels) -> Mask:
+    """Pixels that an unsound link parts from another island: they may see both."""
+    beside = np.zeros(label.shape, np.bool_)
+    for sound, a, b in ((right[:, :-1], np.s_[:, :-1], np.s_[:, 1:]), (down[:-1], np.s_[:-1], np.s_[1:])):
+        step = ~sound & (label[a] != label[b]) & (label[a] > 0) & (label[b] > 0)
+        beside[a] |= step
+        beside[b] |= step
+    return beside
+
+
 def _eroded(mask: Mask, reach: int) -> Mask:
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     return np.asarray(cv2.erode(mask.astype(np.uint8), kernel) > 0)
@@ -219,8 +232,9 @@ def _flood_parts(phase, right, down, core, label, count):  # type: ignore[no-unt
 
 @njit(cache=True)
 def _grow(phase, right, down, label):  # type: ignore[no-untyped-def]
-    """Add to the islands their neighbours by sound links."""
+    """Add to the islands their neighbours by sound links; how many there are."""
     height, width = phase.shape
+    added = 0
     before = label.copy()
     for v in range(height):
         for u in range(width):
@@ -234,7 +248,9 @@ def _grow(phase, right, down, label):  # type: ignore[no-untyped-def]
                 if right[v, min(u, x)] if dv == 0 else down[min(v, y), u]:
                     label[v, u] = before[y, x]
                     phase[v, u] = phase[y, x] + _difference(phase[v, u], phase[y, x])
+                    added += 1
                     break
+    return added
 
 
 def _join(phase: Floats, wrapped_phase: Floats, right: Mask, down: Mask, label: _Labels, count: int) -> None:

@@ -385,6 +385,9 @@ class IslandLimits(NamedTuple):
     step_px: tuple[int, ...] = (12, 4)
     """Distance from any step at which islands begin. Chosen: a gap of 24 px in a step that changes by 0.006
     rad per pixel looks like none at a noise of 0.03 rad; the second one is for what is narrower."""
+    window_reach: float = 2.0
+    """The same in standard deviations of a window that made the phase, in addition. Chosen: a step spreads
+    over two on either side."""
     hole_px: int = 1  # distance from pixels that are not measured at which islands begin (chosen)
     min_pixels: int = 100  # pixels of an island (chosen: a smaller one is a scrap beside a step)
     min_border_px: int = 25  # sound links that join two islands (chosen: more than such a gap has)
@@ -412,9 +415,11 @@ class OneFrameLimits(NamedTuple):
     min_window_share: float = 0.99
     """Share of a window that must lie on usable pixels. Chosen: its middle is then off by 0.03 of its
     standard deviation."""
-    max_rest_ratio: float = 2.0
-    """Mean square of what a fit leaves, beside the median of all, up to which a window holds one surface.
-    Chosen: noise scatters by some percent, a step of a tenth of a period leaves more."""
+    max_rest_ratio: float = 1.5
+    """Mean square of what a fit leaves, beside that of noise at its level, up to which a window holds one
+    surface. Chosen: noise scatters by a tenth at most, a step of a twentieth of a period leaves more."""
+    rest_freedom: int = 100
+    """Degrees of freedom of that mean square. Chosen: the pixels of the narrowest window."""
     min_periods: float = 4.0  # periods across the image of the widest carrier (chosen)
     min_period_px: float = 3.0  # period of the finest carrier in px (chosen: two are no wave)
     min_peak_ratio: float = 100.0

@@ -30,8 +30,8 @@ from fpplab.phase.bounds import DecodingBounds, PossibleCoordinates
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.error_model import saturation_of
 from fpplab.phase.islands import find_islands
-from fpplab.phase.limits import ONE_FRAME
-from fpplab.phase.noise import QUANTISATION
+from fpplab.phase.limits import NOISE, ONE_FRAME
+from fpplab.phase.noise import QUANTISATION, fit_line, level_step
 from fpplab.phase.spatial_axis import UnwrappedIslands, placed
 
 _BANDWIDTH = 4.0 - 8.0 / 3.0 + 0.5
@@ -81,18 +81,18 @@ def decode_single_frame(recording: Recording, bounds: DecodingBounds, progress: 
     progress(0.9)
     seen = _is_whole(usable, window_px) & (np.sqrt(fit.rest) <= rules.residual_max * modulation)
     seen &= (modulation >= rules.modulation_min) & (modulation >= rules.contrast_min * fit.offset)
-    typical = float(np.median(fit.rest[seen])) if seen.any() else 1.0
-    seen &= fit.rest <= ONE_FRAME.max_rest_ratio * typical
+    expected = _noise_by_level(fit, seen, level_step(recording.frames[0]) * grey)
+    seen &= fit.rest <= ONE_FRAME.max_rest_ratio * expected
     noise = np.sqrt(2.0 * np.maximum(fit.rest, QUANTISATION * grey**2)) / np.maximum(modulation, 1e-30)
     sigma_rad = noise * math.sqrt(_BANDWIDTH / (4.0 * np.pi)) / window_px
     period_px = axis_length(recording.projector_size, shown.axis) / shown.stripes
     possible = bounds.get(shown.axis)
     possible = possible if isinstance(possible, PossibleCoordinates) else None
     islands = placed(
-        find_islands(phase, sigma_rad, seen), recording, shown.axis, period_px, sigma_rad, possible
+        find_islands(phase, sigma_rad, seen, window_px), recording, shown.axis, period_px, sigma_rad, possible
     )
     seen &= islands.island != 0
-    maps = islands.coordinate, modulation, sigma_rad * period_px / TWO_PI, np.sqrt(fit.rest / typical)
+    maps = islands.coordinate, modulation, sigma_rad * period_px / TWO_PI, np.sqrt(fit.rest / expected)
     return _decoded(
         [np.where(seen, m, np.nan).astype(np.float32) for m in maps], shown.axis, islands, window_px
     )
@@ -111,6 +111,16 @@ def _decoded(maps: Sequence[Map], axis: Axis, islands: UnwrappedIslands, window_
         island=np.where(np.isfinite(sigma), islands.island, np.int32(0)),
         resolution_px=2.0 * window_px,
     )
+
+
+def _noise_by_level(fit: _Fit, seen: Mask, step: float) -> Floats:
+    """Variance of the grey levels where a window holds one surface, by their level."""
+    floor = QUANTISATION * step**2
+    if np.count_nonzero(seen) < NOISE.min_pixels:
+        return np.full(seen.shape, floor)
+    thin = max(1, np.count_nonzero(seen) // NOISE.sample_pixels)
+    level, rest = (values[seen][::thin] for values in (fit.offset, fit.rest))
+    return fit_line(level, rest, ONE_FRAME.rest_freedom, step).variance(np.maximum(fit.offset, 0.0))
 
 
 def _carrier(level: Floats, axis: Axis, name: str) -> tuple[float, float]:
