@@ -40,12 +40,12 @@ def one_set(steps: int, axes: str = "x", **more: Any) -> Plan:
     return config.validate({"fringes": fringes, "unwrapping": "spatial", **more}, Plan, "plan")
 
 
-def recorded(coordinate: Floats, steps: int = 4, noise: float = 1.0, seed: int = 1) -> Recording:
+def recorded(coordinate: Floats, steps: int = 4, seed: int = 1) -> Recording:
     """Frames of a modulation of 60 grey levels."""
     plan, random = one_set(steps), np.random.default_rng(seed)
     light = [plan.sets[0].light(n, coordinate, WIDTH) for n in range(steps)]
     levels = 40.0 + 120.0 * np.array(light)
-    levels += random.normal(0.0, noise, levels.shape)
+    levels += random.normal(0.0, 1.0, levels.shape)
     return Recording(list(np.rint(levels * 4095 / 255).astype(np.uint16)), plan, (WIDTH, 1140), bits=12)
 
 
@@ -73,7 +73,7 @@ def test_islands_are_right_up_to_one_number_of_periods(steps: int, shape: str) -
         assert 0.85 < np.std(error) / np.median(stated) < 1.15
 
 
-@pytest.mark.parametrize("change", [0.2, 0.5, 1.2])
+@pytest.mark.parametrize("change", [0.06, 0.2, 1.2])
 def test_a_step_that_passes_through_a_whole_period_is_no_bridge(change: float) -> None:
     truth = FLAT + np.where(INSIDE, (1.0 + change * (Y - 55.0) / 25.0) * PERIOD, 0.0)
     for error in errors_by_island(decode(recorded(truth)), truth).values():
