@@ -122,10 +122,10 @@ def _lobe(scores: Any, best: int, first: int, last: int) -> tuple[int, int]:
 
 
 @compiled_lean
-def _least_score(square: float, power: float, spread: float) -> Any:
+def _least_score(square: float, power: float, table: Any) -> Any:
     """Score below which no code of a candidate has a correlation whose square is as great."""
     square = min(max(square, 0.0), power)
-    bound = np.sqrt(square) * np.cos(spread) - np.sqrt(power - square) * np.sin(spread)
+    bound = np.sqrt(square) * table.cosine - np.sqrt(power - square) * table.sine
     return bound - _ROUNDING * np.sqrt(power)
 
 
@@ -172,7 +172,7 @@ def _searched(pixel: Any, lobe: Any, c: int, grid: Any, table: Any, limits: Any,
             break
         square = _square(values[at])
         reach = square - limits.hull_chi2 * _variance(power - square, mean, len(x), limits)
-        least = _least_score(reach, power, table.spread)
+        least = _least_score(reach, power, table)
         while low < lower and scores[low] < least:
             low += 1
         while high > upper and scores[high - 1] < least:
@@ -191,7 +191,7 @@ def _runner_up(
     x, _, power = pixel
     scores, _, values = work
     greatest, best, spare = least, -1, len(scores) - 1
-    scores[spare] = _least_score(greatest, power, table.spread)
+    scores[spare] = _least_score(greatest, power, table)
     scores[lobe[0] : lobe[1]] = np.float32(0)
     for block in range(part[0], part[1], LANES):
         if scores[spare] > 0.0 and _greatest(scores, block, block + LANES) < scores.view(np.int32)[spare]:
@@ -204,7 +204,7 @@ def _runner_up(
             value = _square(values[_best(values, left, right)])
             if value > greatest:
                 greatest = value
-                scores[spare] = _least_score(greatest, power, table.spread)
+                scores[spare] = _least_score(greatest, power, table)
                 best = r if value > square * (1.0 + 2.0 * _ROUNDING) else best
     return greatest, best
     for r in range(part[0], part[1]):
@@ -215,7 +215,7 @@ def _runner_up(
         value = _square(values[_best(values, left, right)])
         if value > greatest:
             greatest = value
-            scores[spare] = _least_score(greatest, power, table.spread)
+            scores[spare] = _least_score(greatest, power, table)
             best = r if value > square * (1.0 + 2.0 * _ROUNDING) else best
     return greatest, best
 
@@ -286,7 +286,7 @@ def _levels_of(levels: Any, p: int, x: Any) -> Any:
 
 @compiled_lean
 def measure_ranges(table: Any, memory: Any) -> None:
-    """Fill in the range about each candidate, and each code's angle to the nearest one outside of it."""
+    """Fill in the range about each candidate, and what correlation codes outside of it have at most."""
     x, scores, work, count = memory[0], memory[1], memory[1:], len(table.middle)
     for own in range(count):
         for k in range(len(x)):
@@ -305,7 +305,7 @@ def measure_ranges(table: Any, memory: Any) -> None:
             square, _ = _runner_up(
                 pixel, 1.0, _square(least), (0, count), lobe, (0, len(table.scale)), table, work
             )
-            table.apart[n] = np.arccos(min(np.sqrt(square), 1.0))
+            table.elsewhere[n] = np.sqrt(square)
 
 
 @compiled_lean
@@ -316,9 +316,10 @@ def _nothing_elsewhere(
     at, power, c = fit[0], pixel[2], table.owner[fit[0]]
     if max(first, table.low[c]) < part[0] or min(last, table.high[c]) > part[1]:
         return False
-    angle = table.apart[at] - np.arccos(min(fit[3] / np.sqrt(power), 1.0)) - _ROUNDING
-    greatest = power * np.cos(min(max(angle, 0.0), 0.5 * np.pi)) ** 2
-    return greatest < fit[6] - limits.certain_chi2 * fit[7]
+    # The cosine of the difference of two angles, of which the first must be the greater one.
+    own, other = min(fit[3] / np.sqrt(power), 1.0), table.elsewhere[at] + _ROUNDING
+    greatest = own * other + np.sqrt(max((1.0 - own * own) * (1.0 - other * other), 0.0))
+    return own > other and power * greatest * greatest < fit[6] - limits.certain_chi2 * fit[7]
 
 
 @compiled_lean
@@ -331,7 +332,7 @@ def _best_fit(pixel: Any, near: int, grid: Any, table: Any, limits: Any, work: A
             break
         _correlate(pixel[0], table.candidates, part[0], part[1], work[0])
         before, near = near, _best(work[0], part[0], part[1])
-        if work[0][near] > np.sqrt(pixel[2]) * np.cos(table.apart[table.middle[near]]):
+        if work[0][near] > np.sqrt(pixel[2]) * table.elsewhere[table.middle[near]]:
             fit = _fitted(pixel, part, grid, table, limits, work)
             if fit[3] > 0.0 and _nothing_elsewhere(pixel, fit, first, last, part, table, limits):
                 return fit

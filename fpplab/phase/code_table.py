@@ -35,11 +35,12 @@ class CodeTable(NamedTuple):
     middle: NDArray[np.int64]  # (C,) index of the grid point in the middle of each candidate
     owner: NDArray[np.int64]  # (U,) candidate of each grid point
     candidates: NDArray[np.float32]  # (K, C), unit codes in the middle of each candidate
-    spread: float  # greatest angle between a code and that in the middle of its candidate
-    # Of `with_ranges`, zeros before it:
+    cosine: float  # of the greatest angle between a code and that in the middle of its candidate
+    sine: float
+    # Of `with_ranges`, without any ranges before it:
     low: NDArray[np.int64]  # (C,) first candidate of the range about each down to the valleys of correlation
     high: NDArray[np.int64]  # (C,) the one behind the last
-    apart: Floats  # (U,) angle from each code to the nearest outside of its candidate's range
+    elsewhere: Floats  # (U,) greatest correlation of each code with one outside of its candidate's range
 
     def memory(self) -> tuple[NDArray[np.float32], ...]:
         """Room for the levels of a pixel and for scores, which compiled functions work in."""
@@ -82,17 +83,18 @@ def code_table(
         middle=middle,
         owner=owner,
         candidates=candidates,
-        spread=2.0 * float(np.arcsin(0.5 * off)),
+        cosine=float(1.0 - 0.5 * off**2),
+        sine=float(off * np.sqrt(1.0 - 0.25 * off**2)),
         low=np.zeros_like(middle),
         high=np.zeros_like(middle),
-        apart=np.zeros_like(coordinate),
+        elsewhere=np.ones_like(coordinate),
     )
 
 
 def with_ranges(table: CodeTable) -> CodeTable:
     """Add what lets a pixel's neighbour be searched first."""
     table = table._replace(
-        low=np.empty_like(table.low), high=np.empty_like(table.high), apart=np.empty_like(table.apart)
+        low=np.empty_like(table.low), high=np.empty_like(table.high), elsewhere=np.empty_like(table.elsewhere)
     )
     measure_ranges(table, table.memory())
     return table
