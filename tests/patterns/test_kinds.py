@@ -86,6 +86,61 @@ print("ok")
 '''
 
 
+NEW_CODE = '''
+"""Reflected code of three levels, which needs fewer images than one of two."""
+
+from typing import Literal
+
+import numpy as np
+
+from fpplab.core.conventions import Floats
+from fpplab.patterns.fringe_sets.base import CodeSet
+
+
+class Ternary(CodeSet):
+    """Digits of a reflected code of base three, coarsest first."""
+
+    kind: Literal["ternary"] = "ternary"
+    digits: int
+    """How many digits, each with an image."""
+
+    @property
+    def images(self) -> int:
+        return self.digits
+
+    def light(self, step: int, coordinate: Floats, length: int) -> Floats:
+        cell = np.floor(coordinate + 0.5).astype(int) // 3 ** (self.digits - 1 - step)
+        return np.where(cell // 3 % 2, 2 - cell % 3, cell % 3) / 2
+
+    @property
+    def short_name(self) -> str:
+        return f"ternary{self.digits}"
+'''
+CODE_TRIAL = """
+import numpy as np
+from fpplab import Plan, Recording, decode
+from fpplab.core import config
+from fpplab.core.conventions import Lattice
+from fpplab.patterns.fringes import make_patterns
+from fpplab.report.figures import pattern_sheet
+
+text = "fringes: [{kind: even, levels: [1, 0]}, {kind: ternary, axis: x, digits: 5}]"
+plan = config.validate(config.parse_yaml(text, "plan"), Plan, "plan")
+size, random = (240, 48), np.random.default_rng(6)
+patterns = make_patterns(plan, size, Lattice.SQUARE)
+light = [20 + 0.8 * pattern.image + random.normal(0, 2, pattern.image.shape) for pattern in patterns]
+decoded = decode(Recording([np.rint(image).astype(np.uint8) for image in light], plan, size))
+assert decoded.valid[:, 2:-2].mean() > 0.99, decoded.valid.mean()
+assert np.abs(decoded.u - np.arange(240))[decoded.valid].max() <= 1.0
+assert patterns[3].id == "01-x-ternary5-001of5"
+assert len(pattern_sheet(patterns)) > 1000
+described = Plan.model_json_schema()["$defs"]["Ternary"]
+assert described["description"].startswith("Digits of a reflected code"), described
+assert described["properties"]["digits"]["description"] == "How many digits, each with an image."
+print("ok")
+"""
+
+
 def copy_of_fpplab(folder: Path, added: dict[str, str]) -> None:
     # With the compiled functions, which are as valid in a copy whose files are as old as these.
     shutil.copytree(ROOT / "fpplab", folder / "fpplab", ignore=shutil.ignore_patterns("*.pyc"))
@@ -93,19 +148,24 @@ def copy_of_fpplab(folder: Path, added: dict[str, str]) -> None:
         (folder / "fpplab" / "patterns" / name).write_text(text, encoding="utf-8")
 
 
+def tried(folder: Path, added: dict[str, str], trial: str) -> None:
+    copy_of_fpplab(folder, added)
+    done = subprocess.run(
+        [sys.executable, "-c", trial], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "ok\n", done.stderr
+
+
 @pytest.mark.whole
 @pytest.mark.parametrize("method", ["hierarchical", "renamed"])
 def test_a_new_kind_is_one_file(tmp_path: Path, method: str) -> None:
     added = {"fringe_sets/reordered.py": NEW_KIND, "unwrapping/renamed.py": NEW_METHOD}
-    copy_of_fpplab(tmp_path, added)
-    done = subprocess.run(
-        [sys.executable, "-c", TRIAL.replace("METHOD", method)],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.stdout == "ok\n", done.stderr
+    tried(tmp_path, added, TRIAL.replace("METHOD", method))
+
+
+@pytest.mark.whole
+def test_a_new_code_is_one_file(tmp_path: Path) -> None:
+    tried(tmp_path, {"fringe_sets/ternary.py": NEW_CODE}, CODE_TRIAL)
 
 
 def test_a_sinusoid_needs_no_kind_and_tells_none() -> None:
@@ -117,9 +177,8 @@ def test_a_sinusoid_needs_no_kind_and_tells_none() -> None:
 
 def test_an_unknown_kind_lists_the_known() -> None:
     wrong = {"fringes": [{"kind": "grey", "axis": "x", "stripes": 1, "steps": 4}]}
-    with pytest.raises(
-        ConfigError, match=r"'fringes\[0\]' .*must have a 'kind' of even, files, gray, shifted, sinusoid"
-    ):
+    kinds = "even, files, gray, modulated, shifted, sinusoid"
+    with pytest.raises(ConfigError, match=rf"'fringes\[0\]' .*must have a 'kind' of {kinds}"):
         config.validate(wrong, Plan, "plan")
 
 
@@ -132,9 +191,7 @@ def test_a_list_of_wrong_entries_is_not_called_too_short() -> None:
 
 
 def test_an_unknown_method_lists_the_known() -> None:
-    assert sorted(unwrapping_methods()) == ["guided", "heterodyne", "hierarchical"]
+    assert sorted(unwrapping_methods()) == ["guided", "heterodyne", "hierarchical", "spatial"]
     wrong = {"fringes": [{"axis": "x", "stripes": 1, "steps": 4}], "unwrapping": "magic"}
-    with pytest.raises(
-        ConfigError, match="'unwrapping' is 'magic': should be 'hierarchical' or 'heterodyne'"
-    ):
+    with pytest.raises(ConfigError, match="'unwrapping' is 'magic': should be 'spatial' or 'hierarchical'"):
         config.validate(wrong, Plan, "plan")

@@ -45,6 +45,17 @@ KINDS = {
     "Gray with inverses": [{**GRAY, "inverses": "each"}],
     "Gray, the finest bit first, inverses after": [{**GRAY, "inverses": "after", "least_first": True}],
     "micro phase shifting": MICRO,
+    "modulated phase shifting": [
+        {
+            "kind": "modulated",
+            "axis": "x",
+            "stripes": 1,
+            "shifts_deg": [0, 120, 240],
+            "carrier_stripes": 6,
+            "carrier_shifts_deg": [0, 120, 240],
+        },
+        {"kind": "shifted", "axis": "x", "stripes": 13, "shifts_deg": [0, 120, 240]},
+    ],
     "unequal shifts": UNEQUAL,
 }
 
