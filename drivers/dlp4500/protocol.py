@@ -158,6 +158,13 @@ CHANNEL_SWAP = _register(
 LONG_AXIS_FLIP = _register("long-axis flip", 0x1008, _flag("on"))
 SHORT_AXIS_FLIP = _register("short-axis flip", 0x1009, _flag("on"))
 FREEZE = _register("freeze buffer", 0x100A, _flag("on"))
+AREA = _register(
+    "input and display area",
+    0x1000,
+    _fields(
+        *((f"{part}_{n}", 16) for part in ("crop", "display") for n in ("pixel", "line", "pixels", "lines"))
+    ),
+)
 TEST_PATTERNS = (
     "solid",
     "horizontal-ramp",
@@ -214,6 +221,10 @@ LED_ENABLE = _register(
 )
 LED_CURRENT = _register("LED current", 0x0B01, _bytes(*COLOURS))
 LED_POLARITY = _register("LED polarity", 0x1A05, _flag("inverted"))
+LED_DELAYS = {
+    colour: _register(f"{colour} LED delays", 0x1A1F + i, _bytes("rising", "falling"))
+    for i, colour in enumerate(COLOURS)
+}
 
 # --- triggers
 

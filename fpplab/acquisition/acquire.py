@@ -45,16 +45,22 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
         missing = [k - first for k in all_missing if first <= k < first + plan.images]
         _log.info("%d frames are to be taken, %g s each", len(missing), exposure_s)
         if missing:
-            _take_pass(rig, session, missing, first, exposure_s, observe)
+            _take_pass(rig, plan, session, missing, first, exposure_s, observe)
     if all_missing:
         _prove(rig, session)
 
 
 def _take_pass(
-    rig: Rig, session: Session, missing: Sequence[int], first: int, exposure_s: float, observe: FrameObserver
+    rig: Rig,
+    plan: Plan,
+    session: Session,
+    missing: Sequence[int],
+    first: int,
+    exposure_s: float,
+    observe: FrameObserver,
 ) -> None:
     """Take the missing images of the plan at one exposure, whose frames begin at `first`."""
-    plan, caps = session.plan, rig.projector.caps
+    caps = rig.projector.caps
     settings = rig.camera_settings(exposure_s, plan.bits)
     patterns, ends = make_patterns(plan, caps.size, caps.lattice), end_markers(plan, caps.size)
     brightness = []

@@ -26,7 +26,7 @@ _MEANT = {
     ("emulate",): "emulator emulators emulation",
     ("gamma",): "response linearise linearize linearity nonlinearity",
     ("import",): "load read open ingest",
-    ("live",): "setup set-up preview focus exposure",
+    ("live",): "setup set-up preview focus",
     ("match",): "digital-twin fit",
     ("optimise",): "optimize optimisation optimization search tune",
     ("plan",): "plans pattern patterns fringe fringes project",

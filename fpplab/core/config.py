@@ -118,6 +118,8 @@ def describe(error: ValidationError, data: Any = None, model: type[Document] | N
     # A list whose entries are wrong seems too short as well, for it counts the right ones alone.
     parents = {d["loc"][:depth] for d in details for depth in range(len(d["loc"]))}
     details = [d for d in details if d["type"] != "too_short" or d["loc"] not in parents]
+    # Defaults that depend on other fields are not even tried where one of those is wrong.
+    details = [d for d in details if d["type"] != "default_factory_not_called"]
     if data is not None:
         details = [_fault_in_document(detail, data) for detail in details]
     unknown = [_field(d["loc"]) for d in details if d["type"] == "extra_forbidden"]
