@@ -254,6 +254,11 @@ class NeighbourLimits(NamedTuple):
     that of one that changes by 1 rad from pixel to pixel."""
     max_correlation: float = 0.04
     """Correlation of neighbours' residuals of a sensor's own frames. Measured on simulated ones: 0.01."""
+    unfiltered_px: int = 8
+    """Distance of pixels that no filter makes alike. Chosen: the side of a block of JPEG."""
+    max_reach: float = 0.5
+    """Correlation at that distance, of that of neighbours, by a filter. Measured on JPEG and filters: 0.2 at
+    most; on light that differs by phase and frame: 0.8."""
     max_growth: float = 2.25
     """Greatest growth of squared second differences from pixels 2 px apart to 3 px, of noise. Derived: noise
     does not grow, surfaces and waves grow by 81/16; this is between, in proportion."""

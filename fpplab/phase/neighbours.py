@@ -270,10 +270,15 @@ def _fitted(terms: Floats, values: Floats) -> tuple[Floats, Floats, Mask]:
 
 def _are_correlated(residuals: Floats, used: Mask) -> bool:
     """Whether residuals of neighbours are, seen across the direction in which smooth ones were taken off."""
+    # What is the same for all pixels of one phase, as where an exposure is no multiple of the projector's
+    # period, is common to long stretches along the fringes; no filter reaches as far.
     for across, along in (_ALONG, _ALONG[::-1]):
         bends = _differences(residuals, along) * used
-        product = (bends * np.roll(bends, 1, across)).sum()
+        near, far = (
+            abs((bends * np.roll(bends, apart, across)).sum()) for apart in (1, NEIGHBOURS.unfiltered_px)
+        )
         chance = NEIGHBOURS.significance / np.sqrt(len(residuals) * used.sum())
-        if abs(product) > max(NEIGHBOURS.max_correlation, chance) * np.square(bends).sum():
+        limit = max(NEIGHBOURS.max_correlation, chance) * np.square(bends).sum()
+        if near > limit and far < NEIGHBOURS.max_reach * near:
             return True
     return False

@@ -57,6 +57,19 @@ def test_frames_as_the_sensor_gives_them_show_nothing() -> None:
         assert all(one.scatter == 1.0 and one.ripple_rad == 0.0 for one in errors.sets)
 
 
+def test_light_that_differs_by_phase_and_frame_is_no_filter() -> None:
+    # Such as that of a projector whose period does not divide the exposure.
+    scene, random = drawn_scene(23, (12,)), np.random.default_rng(24)
+    finest = scene.plan.finest
+    phase = finest.phase_per_px(PROJECTOR) * (scene.seen[..., 0] + 0.5)
+    frames = list(scene.frames)
+    for n in scene.plan.finest_images:
+        changed = frames[n] * (1.0 + 0.03 * np.cos(3 * phase + random.uniform(0, 6)))
+        frames[n] = np.clip(np.rint(changed), 0, 255).astype(np.uint8)
+    errors = error_model_of(Recording(frames, scene.plan, PROJECTOR)).sets[scene.plan.finest_set("x")]
+    assert errors.scatter == 1.0
+
+
 def test_the_share_of_the_frame_before_is_found() -> None:
     frames = [frame.astype(float) for frame in SCENE.frames]
     for n in range(len(frames) - 1, 0, -1):
