@@ -243,12 +243,12 @@ def point_list_source(
 
     sizes = {"--camera-size": camera_size, "--projector-size": projector_size}
     if points is None:
-        given = [option for name, value in (*sizes.items(), ("--lattice", lattice)) if value is not None]
+        given = [name for name, value in (*sizes.items(), ("--lattice", lattice)) if value is not None]
         if given:
             raise ConfigError(f"{given[0]} goes with --points; sessions and rigs know it themselves")
         return None
     if camera_size is None or projector_size is None:
-        missing = next(option for name, value in sizes.items() if value is None)
+        missing = next(name for name, value in sizes.items() if value is None)
         raise ConfigError(f"{missing} is missing; a table of points does not say it")
     return PointListSource(points, camera_size, projector_size, lattice or Lattice.SQUARE)
 
