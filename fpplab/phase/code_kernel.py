@@ -207,17 +207,6 @@ def _runner_up(
                 scores[spare] = _least_score(greatest, power, table)
                 best = r if value > square * (1.0 + 2.0 * _ROUNDING) else best
     return greatest, best
-    for r in range(part[0], part[1]):
-        if scores[r] < scores[spare] or lobe[0] <= r < lobe[1]:
-            continue
-        left, right = max(table.start[r], grid[0]), min(table.start[r + 1], grid[1])
-        _correlate(x, table.unit, left, right, values)
-        value = _square(values[_best(values, left, right)])
-        if value > greatest:
-            greatest = value
-            scores[spare] = _least_score(greatest, power, table)
-            best = r if value > square * (1.0 + 2.0 * _ROUNDING) else best
-    return greatest, best
 
 
 @compiled_lean

@@ -16,6 +16,7 @@ from fpplab.phase.bounds import widest_interval_share
 from fpplab.phase.order_risk import wrong_order_chance
 from fpplab.phase.precision import coordinate_spread
 from fpplab.reconstruction.depth_range import decoding_bounds
+from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class PlanPrecision:
     sigma_px: dict[Axis, float]  # of the projector coordinate
     wrong_orders: dict[Axis, float]  # chance that a pixel's fringe order is wrong
     depth_mm: float | None = None  # distance along the camera's axis for which `sigma_um` holds
-    sigma_um: float | None = None  # of a depth along the camera's axis
+    sigma_um: float | None = None  # along the camera's rays
 
 
 def plan_precision(
@@ -48,23 +49,8 @@ def plan_precision(
             chances[axis] = float(wrong_order_chance(plan, axis, np.asarray(noise), share))
     if calibration is None:
         return PlanPrecision(noise, sigma, chances)
-    z = sum(depth.mm) / 2.0 if depth else _crossing_mm(calibration)
-    per_mm = _px_per_mm(calibration, z)
-    informed = sum((per_mm[axis] / sigma[axis]) ** 2 for axis in sigma)
-    return PlanPrecision(noise, sigma, chances, z, 1e3 / float(np.sqrt(informed)))
-
-
-def _crossing_mm(calibration: Calibration) -> float:
-    """Where the camera's axis passes nearest to that of the projector."""
-    pose = calibration.T_projector_camera
-    centre, direction = -pose.rotation.T @ pose.translation, pose.rotation[2]
-    axis = np.array([0.0, 0.0, 1.0])
-    normal = axis - (axis @ direction) * direction
-    return float(centre @ normal / (axis @ normal))
-
-
-def _px_per_mm(calibration: Calibration, z: float) -> dict[Axis, float]:
-    """Change of the projector's coordinates by 1 mm of depth."""
-    points = np.array([[0.0, 0.0, z - 0.5], [0.0, 0.0, z + 0.5]])
-    near, far = calibration.projector.project(points, calibration.T_projector_camera)
-    return dict(zip(AXES, np.abs(far - near).tolist(), strict=True))
+    geometry = RigGeometry(calibration)
+    distance_mm = sum(depth.mm) / 2.0 if depth else geometry.meeting_mm
+    per_mm = np.nanmedian(WorkingPoint(geometry, plan, distance_mm).px_per_mm, axis=(0, 1))
+    informed = sum((per_mm[AXES.index(axis)] / sigma[axis]) ** 2 for axis in sigma)
+    return PlanPrecision(noise, sigma, chances, distance_mm, 1e3 / float(np.sqrt(informed)))

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fpplab.calibration.model import Calibration
 from fpplab.core.errors import CapabilityError, ConfigError, FppError, SettingError
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
+from fpplab.setup.plan_precision import plan_precision
 from fpplab.setup.plan_preview import preview_plan
 from tests.conformance.reference import EXPOSURE_TICK_S, READOUT_S, ReferenceCamera, ReferenceProjector
 from tests.support.commands import Command
@@ -114,3 +116,18 @@ def test_a_stepped_plan_waits_for_its_display_and_projects_nothing(monkeypatch: 
     step_s = 0.1 + 0.02 + READOUT_S
     assert (found.images, found.end_markers, len(patterns), found.dark_s) == (3, 0, 3, 0.0)
     assert (found.light_s, found.period_s, found.least_s) == pytest.approx((step_s, step_s, 3 * step_s))
+
+
+def test_noise_is_told_as_depth_where_a_calibration_is_given() -> None:
+    known = Calibration.load(Path("configs/calibration_matched.yaml"))
+    fine, coarse = (
+        plan_precision(planned(stripes), known.projector.size, 0.02, known) for stripes in (64, 32)
+    )
+    assert fine is not None
+    assert fine.sigma_um is not None
+    assert fine.depth_mm is not None
+    assert coarse is not None
+    assert coarse.sigma_um == pytest.approx(2 * fine.sigma_um)
+    point = np.array([[0.0, 0.0, fine.depth_mm], [0.0, 0.0, fine.depth_mm + 1.0]])
+    near, far = known.projector.project(point, known.T_projector_camera)
+    assert fine.sigma_um == pytest.approx(1e3 * fine.sigma_px["x"] / abs(far - near)[0], rel=0.1)
