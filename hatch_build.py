@@ -4,8 +4,6 @@
 statements and entry points are changed, in the wheel that has been built.
 """
 
-from __future__ import annotations
-
 import ast
 import base64
 import csv

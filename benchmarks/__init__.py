@@ -6,8 +6,6 @@ A benchmark is a module of this package whose function `run`, without arguments,
 is the module's. They need a checkout: they are not installed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module

@@ -1,7 +1,5 @@
 """`python -m benchmarks [NAME] [--json]`, from a checkout."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import asdict
 from typing import Annotated

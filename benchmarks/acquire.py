@@ -6,8 +6,6 @@ beside the slower of bare pylon and the disk, which is given as many bytes, flus
 checksums. Files are removed between the runs, so that the system need not find new memory for each.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

@@ -4,8 +4,6 @@ The response is measured on a simulated bench, with its noise and rounding. The 
 light of the true curve, without noise, for the patterns that the plan makes.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -5,8 +5,6 @@ true coordinate is known. Stated phase errors are compared with actual ones, and
 kept are counted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

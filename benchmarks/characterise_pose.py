@@ -7,8 +7,6 @@ them as one writes it down, finds the board by OpenCV with its refinement of cor
 at the nearest four pixels, and calls OpenCV's calibration of both devices and of the pair.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 Frames are made by the codes' formulas from known coordinates, with a Gaussian blur and noise.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The symmetric mean Chamfer distance against scipy's tree on one thread."""
 
-from __future__ import annotations
-
 import time
 from statistics import median
 

@@ -4,8 +4,6 @@ The rigs are those of `guided_characterisation`, each characterised anew, the ch
 correction keeps the errors of its calibration but for what has changed, so that many rigs count, not changes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

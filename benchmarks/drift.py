@@ -5,8 +5,6 @@ scan that the calibration is used for. Scans are drawn by formulas with a calibr
 as it says, and that holds when the first frame is taken.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

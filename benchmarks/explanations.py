@@ -8,8 +8,6 @@ mistake in the plan, the images or the light. What is printed is followed as a p
 else, and the points are compared with the true ones.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import sys

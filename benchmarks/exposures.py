@@ -4,8 +4,6 @@ Frames are made by the formulas of fringes and of a sensor with shot noise, read
 8 bits. Matt parts are measured with the single exposure that suits them best.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

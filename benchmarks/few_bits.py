@@ -4,8 +4,6 @@ Frames are made from the patterns' own images with a Gaussian blur; the time is 
 projector's and camera's clocks.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from unittest.mock import patch

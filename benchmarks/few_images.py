@@ -4,8 +4,6 @@ One takes as many images, three of them along y. The search that found those of 
 neither the hidden bench nor these seeds.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from statistics import fmean

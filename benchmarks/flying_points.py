@@ -5,8 +5,6 @@ round by other surfaces, noise and rounding to 8 bits, under six images as of `p
 point is more than 1 mm and more than five standard deviations of its noise from the nearest surface.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -6,8 +6,6 @@ True errors of form and place are those of points triangulated from exact pixels
 for the scale of the board, which no pose tells. Board, poses, noise and hands are fresh in each draw.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

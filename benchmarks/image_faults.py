@@ -5,8 +5,6 @@ damaged in one way at a time. σ is compared with the errors that decoding reall
 called good where the errors exceed the interval of 95 % that it states.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

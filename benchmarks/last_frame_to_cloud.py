@@ -7,8 +7,6 @@ one writes it down, triangulates by OpenCV's linear method, and writes points al
 filter, uncertainty or maps.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable

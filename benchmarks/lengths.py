@@ -4,8 +4,6 @@ The demonstration's poses, parts and rig with other lenses, board and noise in e
 scans are drawn from exact truths: no image is rendered. Lengths of one draw share its calibration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 Every part draws its cases anew from fixed seeds and knows their truth from a generator of its own.
 """
 
-from __future__ import annotations
-
 from benchmarks import Result
 from benchmarks.limit_decoding import decoding_figures
 from benchmarks.limit_lattice import lattice_figures

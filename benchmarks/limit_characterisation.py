@@ -4,8 +4,6 @@ Observations are drawn from exact truths: no image is rendered. The optimum is t
 least squares that is told the true size of every error, started from the truth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

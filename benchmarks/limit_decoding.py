@@ -1,7 +1,5 @@
 """Coordinates beside the Cramér-Rao bound of all their images, in pixels and in depth."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks import Result, below

@@ -4,8 +4,6 @@ Exact optics are written out here once more, apart from the twin: square mirrors
 spread, summed mirror by mirror.
 """
 
-from __future__ import annotations
-
 import time
 from statistics import median
 

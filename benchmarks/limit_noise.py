@@ -6,8 +6,6 @@ pixels and a few repetitions, is divided by the standard uncertainty that is rep
 error together. It should be 1.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import product
 

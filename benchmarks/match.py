@@ -6,8 +6,6 @@ characterisation and once from a start that is off. Then come twins that cannot 
 refused, and why is said on the way.
 """
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 import time

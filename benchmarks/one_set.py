@@ -4,8 +4,6 @@ Frames are made by formula with a blur and noise. A step that lies within noise 
 of an edge is invisible in one set; those trials are counted by themselves.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -12,8 +12,6 @@ candidates; another seed is other noise on the same render, so it counts once. F
 worker has one core, whether alone or not.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Processes that measure candidates, for the benchmark of searches: on one core each, or killed once."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterable, Sequence

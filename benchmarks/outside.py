@@ -5,8 +5,6 @@ part of wax, a groove whose walls light each other, or a part that moves while i
 predicts two other measurements of that part, which the bench makes afterwards.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field

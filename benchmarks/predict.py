@@ -6,8 +6,6 @@ measurements, which the bench makes afterwards. Further benches have an effect t
 others have (`benchmarks.hidden.foreign`). Seeds below `JUDGING` are for development.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

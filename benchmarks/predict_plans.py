@@ -4,8 +4,6 @@ The bench's world is drawn as of `benchmarks.hidden`. Its twin knows the light, 
 bench's own characterisation alone: predictions are judged without the errors of a matching.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass

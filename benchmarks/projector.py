@@ -1,7 +1,5 @@
 """The projector on an emulated wire: a command there and back, and a sequence from nothing to running."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from pathlib import Path

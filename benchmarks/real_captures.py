@@ -10,8 +10,6 @@ points of its board lie from where a calibration by the other four expects them,
 keeps sessions and matched twins in a folder, and goes on with those that are there.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

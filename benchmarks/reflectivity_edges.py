@@ -6,8 +6,6 @@ they are compared with it, towards the brighter side. The baseline is decoding w
 twice its time.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Sequence

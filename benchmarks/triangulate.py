@@ -1,7 +1,5 @@
 """Triangulation against OpenCV: both devices' points undistorted, then the linear triangulation."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from statistics import median

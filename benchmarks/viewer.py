@@ -6,8 +6,6 @@ exposures too. Each round runs all kinds in turn, and the fastest of each kind c
 computer does only adds time. The processor time is that of the measuring process alone.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

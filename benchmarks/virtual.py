@@ -1,7 +1,5 @@
 """What the benchmarks on the twin know besides the devices: the simulation behind a rig."""
 
-from __future__ import annotations
-
 from fpplab.devices.rig import Rig
 from sim.bench import VirtualBench
 

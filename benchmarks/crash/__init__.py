@@ -6,8 +6,6 @@ gone on with. Every figure is a number of failures, and its baseline 0; but for 
 before the program's first line or after its answer, which may be all of those that got one.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections import Counter
 from collections.abc import Callable

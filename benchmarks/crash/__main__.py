@@ -1,7 +1,5 @@
 """`python -m benchmarks.crash`: the benchmark in parts, which goes on with what an earlier run recorded."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections import Counter

@@ -1,7 +1,5 @@
 """An emulated bench that leaves a note of how it was left: whether it was dark, and the camera disarmed."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -6,8 +6,6 @@ application. As in the program itself nothing is loaded before signals are heard
 this file would come after all of the benchmark.
 """
 
-from __future__ import annotations
-
 import sys
 
 from fpplab.__main__ import hear_signals

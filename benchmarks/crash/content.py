@@ -1,7 +1,5 @@
 """What a command left, file by file, without what says when it was made."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Two and four processes into one folder: one wins, the others say who, and nothing is damaged."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from pathlib import Path

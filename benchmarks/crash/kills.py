@@ -4,8 +4,6 @@ What stands in the journals after a kill must stand there for ever, and what is 
 an undisturbed run leaves, file by file and byte by byte, but for what says when it was made.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """The commands that are disturbed, small enough to be run hundreds of times, and what they need."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

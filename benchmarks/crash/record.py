@@ -1,7 +1,5 @@
 """What came of each case, kept as it ends: an interrupted run goes on where it stopped."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

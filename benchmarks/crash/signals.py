@@ -1,7 +1,5 @@
 """Commands that get SIGINT, SIGTERM or SIGHUP at random moments from their first millisecond on."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

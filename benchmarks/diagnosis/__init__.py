@@ -7,8 +7,6 @@ to 1249 and 1309, and on captures of a real rig; these are judged on others. Str
 else of a bench, by its seed. Methods are developed with another first seed than that which judges them.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 from collections import Counter

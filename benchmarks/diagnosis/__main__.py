@@ -1,7 +1,5 @@
 """`python -m benchmarks.diagnosis`, from a checkout: the benchmark or a part of it, with any seeds."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import asdict
 from pathlib import Path

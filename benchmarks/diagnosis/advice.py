@@ -1,7 +1,5 @@
 """A person who follows the advice alone: the remedy of the first finding, until there is none."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What is said of one bench with a fault, or without, and how far off its points are."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What was judged, one line of a file for each bench, so that an interrupted run goes on where it stopped."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A hidden bench at work: recordings of its board, card and parts, frame by frame with all effects."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """What a real bench has beyond a world file, with strengths drawn from a seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What neither twins nor the drawn effects have: one such effect for a bench, drawn from a seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -6,8 +6,6 @@ to a few nm for tens of µm. The slopes of the bend change the light by less tha
 second lamp adds light without shadows, and the camera's gain scales all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

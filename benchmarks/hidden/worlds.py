@@ -1,7 +1,5 @@
 """Worlds of hidden benches: everything that data sheets state is a little different, drawn from a seed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`python -m docs.generate`: make the pictures by running the pages, and build the site."""
 
-from __future__ import annotations
-
 import sys
 
 from docs.generate.pages import PageError

@@ -3,8 +3,6 @@
 Pictures are those that `python -m docs.generate` has made by running the pages.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The picture of fpplab's packages in their layers, drawn from the import contract."""
 
-from __future__ import annotations
-
 import tomllib
 from html import escape
 

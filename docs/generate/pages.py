@@ -13,8 +13,6 @@ All other blocks (``sh``, ``text``, ``toml``) are for reading. The front matter 
 starts a page in a copy of the folder that another one has left.
 """
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import os

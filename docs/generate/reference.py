@@ -1,7 +1,5 @@
 """Reference pages, written from the program itself: commands, files, names of the package, decisions."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from collections.abc import Iterator

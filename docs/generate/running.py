@@ -3,8 +3,6 @@
 So the tests and the site share what either has run first.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

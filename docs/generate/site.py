@@ -1,7 +1,5 @@
 """Build the site from the pages and the pictures that running them has made."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

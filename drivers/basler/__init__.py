@@ -1,7 +1,5 @@
 """Driver of Basler cameras, through pylon."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:

@@ -1,7 +1,5 @@
 """Driver of any projector with a display input, over HDMI or as a second screen."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:

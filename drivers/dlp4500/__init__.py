@@ -1,7 +1,5 @@
 """Driver of the DLP LightCrafter 4500 and its controller, the DLPC350, over USB HID."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:

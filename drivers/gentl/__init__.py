@@ -1,7 +1,5 @@
 """Driver of any GenICam camera through a GenTL producer, the .cti file of the maker's software."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 from fpplab.core.extras import how_to_install

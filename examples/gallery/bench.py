@@ -1,7 +1,5 @@
 """What the scripts of the gallery share: the virtual bench with something changed, measured and drawn."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from collections.abc import Mapping

@@ -6,8 +6,6 @@ its own pattern; where those of a triggered plan cannot, two more patterns are p
 white.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Frames of a simulation numbered by session: a resumed one gets the noise that it would have had."""
 
-from __future__ import annotations
-
 from fpplab.acquisition.acquire import end_markers
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import NumberedFrames

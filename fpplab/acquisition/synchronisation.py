@@ -15,8 +15,6 @@ response distorts the sinusoid, so that a second harmonic is tried too; noise is
 the correlation of neighbouring pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum

@@ -6,8 +6,6 @@ projector's least exposures, least gap and load times. What a camera does not sa
 the rig file. No other module decides times.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum

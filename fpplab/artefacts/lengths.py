@@ -1,7 +1,5 @@
 """Lengths of an artefact that can be measured in a cloud, each between two features of its true surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise

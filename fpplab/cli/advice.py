@@ -1,7 +1,5 @@
 """What to say of a command or an option that does not exist: the one that was probably meant."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 

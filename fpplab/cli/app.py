@@ -1,7 +1,5 @@
 """The program, and the options that commands have in common."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated, Any

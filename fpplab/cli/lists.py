@@ -1,7 +1,5 @@
 """Words of the command line that are put in order before they are parsed: lists of paths, global options."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the program logs of its work: `--verbose` shows it on stderr, `--log FILE` writes it to a file."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from pathlib import Path

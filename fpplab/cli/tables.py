@@ -1,7 +1,5 @@
 """How a result of nested lists and dictionaries is shown to a person."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

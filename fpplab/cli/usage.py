@@ -1,7 +1,5 @@
 """What to say of words that do not fit a command: one sentence, with what to write instead."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

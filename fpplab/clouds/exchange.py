@@ -1,7 +1,5 @@
 """Clouds for other programs: E57 and LAS of points in m, OBJ, STL and 3MF of the surface and CSV in mm."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Selection of the points of a cloud, on all processors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

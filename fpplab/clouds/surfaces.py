@@ -5,8 +5,6 @@ show between their rays, plus `NOISE_SIGMAS` of the step's own noise. In w = 1/z
 `|Δw| <= w (tan(STEEPEST) |Δ(a, b)| + NOISE_SIGMAS σ(Δz)/z)`.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lengths of an artefact, measured in a cloud that is aligned to it, by robust fits of its features."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Whether a mesh that is far from a cloud only stands elsewhere: then an alignment is what is missing."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import igl

@@ -1,7 +1,5 @@
 """Exact nearest neighbours between large point sets on surfaces, by cells of a plane, or else a tree."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray

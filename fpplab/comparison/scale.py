@@ -1,7 +1,5 @@
 """The scale of a cloud: what a rigid alignment cannot show, found by fitting a similarity after it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Distance from many points to a finely triangulated surface, by a local search from the nearest vertex."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray

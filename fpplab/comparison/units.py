@@ -1,7 +1,5 @@
 """Whether cloud and true shape are both in mm: a factor between their sizes that a unit explains is named."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import igl

@@ -1,7 +1,5 @@
 """Visibility of a mesh from a device: the faces towards it, the first hits of rays, and occlusion."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
 from embreex.mesh_construction import TriangleMesh

@@ -1,7 +1,5 @@
 """NPZ files from any source: the sizes that they declare are checked before any memory is asked for."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Arguments of public functions, which take an object or the path of its file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """Memory for large arrays that is used again, because the system clears fresh pages slowly."""
 
-from __future__ import annotations
-
 import math
 import threading
 import weakref

@@ -1,7 +1,5 @@
 """What fpplab keeps outside of the user's results to save time, and can compute again."""
 
-from __future__ import annotations
-
 import shutil
 from contextlib import suppress
 from dataclasses import dataclass

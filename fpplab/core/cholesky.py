@@ -1,7 +1,5 @@
 """Small symmetric systems solved within compiled loops, where raising an exception is not possible."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

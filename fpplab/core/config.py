@@ -1,7 +1,5 @@
 """YAML documents with a schema: read strictly, refused in one sentence, written back."""
 
-from __future__ import annotations
-
 import codecs
 import json
 import logging

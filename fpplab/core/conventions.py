@@ -26,8 +26,6 @@ Frames of a camera
     pipeline, never in a driver.
 """
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A range of distances from the camera, as plans and rig files state it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

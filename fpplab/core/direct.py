@@ -1,7 +1,5 @@
 """Writing large files past the system's cache, which would copy them and flush its copy afterwards."""
 
-from __future__ import annotations
-
 import io
 import os
 from contextlib import suppress

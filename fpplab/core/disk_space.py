@@ -1,7 +1,5 @@
 """Disk space: what a command needs is checked and reported before it writes anything."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 from contextlib import suppress

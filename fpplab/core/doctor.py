@@ -1,7 +1,5 @@
 """What `fpplab doctor` looks at: packages, system libraries, graphics processors, folders and the disk."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re

@@ -1,7 +1,5 @@
 """Common style and helpers of all figures: figures and axes, maps, colour bars."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager

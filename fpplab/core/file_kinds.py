@@ -1,7 +1,5 @@
 """What a file or folder is, by its content: a refusal names it, and says what belongs in its place."""
 
-from __future__ import annotations
-
 import io
 import re
 import struct

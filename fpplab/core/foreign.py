@@ -3,8 +3,6 @@
 Run as a program, this module is that process: it reads a file from stdin and writes an NPZ archive to stdout.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import re

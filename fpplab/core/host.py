@@ -1,7 +1,5 @@
 """Which program, packages and computer: what logs and bug reports state."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re

@@ -7,8 +7,6 @@ While everything is being closed one would leave a device open: the first waits 
 second one counts only after some seconds.
 """
 
-from __future__ import annotations
-
 import _thread
 import os
 import signal

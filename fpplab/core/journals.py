@@ -1,7 +1,5 @@
 """Journals: files to which whole lines are appended, and whose last line a power failure may tear."""
 
-from __future__ import annotations
-
 import os
 from mmap import ACCESS_READ, mmap
 from pathlib import Path

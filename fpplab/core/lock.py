@@ -4,8 +4,6 @@ Linux and macOS lock a whole file by `flock`. Windows locks single bytes, each f
 row far behind the content is taken to share the lock, and all of them to have it alone.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os

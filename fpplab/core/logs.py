@@ -1,7 +1,5 @@
 """Which loggers are listened to, and how device traffic is logged on request."""
 
-from __future__ import annotations
-
 import logging
 
 LOGGERS = ("fpplab", "drivers", "sim", "fpplab_drivers", "fpplab_sim")

@@ -1,7 +1,5 @@
 """When, where and by which program something was made: what records state and reports show."""
 
-from __future__ import annotations
-
 import platform
 from datetime import UTC, datetime
 from typing import Self

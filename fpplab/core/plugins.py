@@ -1,7 +1,5 @@
 """Plugins: what installed packages add to fpplab by entry points, whose groups are the constants below."""
 
-from __future__ import annotations
-
 from importlib.metadata import entry_points
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Progress reports and observers: the one type of each, and their defaults that do nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 Progress = Callable[[float], None]

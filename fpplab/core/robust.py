@@ -1,7 +1,5 @@
 """Robust least squares (Huber) and its uncertainty where errors of neighbouring points correlate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a file is by its first bytes, for files that hold no picture that is read."""
 
-from __future__ import annotations
-
 HEAD_BYTES = 512  # how much of a file tells what it is
 
 _SIGNATURES = {

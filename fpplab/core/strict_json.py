@@ -1,7 +1,5 @@
 """JSON and lines of it from files: read in one place, with faults that are always the same exception."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """System libraries that the Python packages need and pip cannot install; run as a program it names them."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

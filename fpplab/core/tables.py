@@ -1,7 +1,5 @@
 """Tables as CSV: of rows, and of all that a command's `--json` answer holds."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

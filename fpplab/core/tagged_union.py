@@ -4,8 +4,6 @@ Members have to be defined before the first model that refers to the family; whe
 own, the package's ``__init__`` calls `import_members`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import import_module

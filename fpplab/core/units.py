@@ -1,7 +1,5 @@
 """Lengths with a unit, as options of commands state them, and sizes as a person reads them."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -4,8 +4,6 @@ To import a module is to run it, and a rig file may come from a stranger: so it 
 installed as a backend, and what the user allows.
 """
 
-from __future__ import annotations
-
 import importlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """The life of every instrument: states, the guard, the safe end."""
 
-from __future__ import annotations
-
 import inspect
 import logging
 import traceback

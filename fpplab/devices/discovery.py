@@ -1,7 +1,5 @@
 """Results of looking for connected devices; drivers provide the search by entry points."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

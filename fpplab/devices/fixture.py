@@ -1,7 +1,5 @@
 """The fixture."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import final

@@ -1,7 +1,5 @@
 """Projectors that can show a pattern for some refreshes, so that a camera can measure how long one is."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import final
 

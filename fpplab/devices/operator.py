@@ -1,7 +1,5 @@
 """A fixture that is a person, asked at the terminal: `{backend: "fpplab.devices.operator:Operator"}`."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

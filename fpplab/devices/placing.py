@@ -1,7 +1,5 @@
 """Fixtures that accept a pose: as a transform, as a robot does, or in words, as a person does."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from pathlib import Path
 from typing import final

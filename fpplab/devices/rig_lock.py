@@ -4,8 +4,6 @@ Of three files per rig file, `wanted` is locked, shared, by all that want to mea
 or by the watcher alone, and `watched` by the watcher. A watcher holds the rig for one frame at a time.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os

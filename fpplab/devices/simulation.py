@@ -1,7 +1,5 @@
 """What a simulation offers beyond the devices, as Protocols: `isinstance(rig.simulation, Seeded)`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Protocol, runtime_checkable
 

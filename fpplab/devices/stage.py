@@ -1,7 +1,5 @@
 """The linear stage."""
 
-from __future__ import annotations
-
 import time
 from abc import abstractmethod
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The verdict on coordinates that codes of other kinds than fringes give, which show fewer faults."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """What is said of coordinates that neighbours unwrapped: which islands have a known fringe order."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Measures candidates for the search methods: each once, journalled, with fixed seeds, in the order asked."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

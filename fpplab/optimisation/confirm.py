@@ -1,7 +1,5 @@
 """Compares two plans on a rig by measuring with both in turn, and states the gain with its uncertainty."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import asdict, dataclass
 from itertools import product

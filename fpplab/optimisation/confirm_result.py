@@ -1,7 +1,5 @@
 """Confirms the plans that a search has found by measuring on a rig, the same or another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ compared with common random numbers: the noise of an image depends on the seed, 
 set in the plan and its phase shift alone, so not on the order of measurements or the process.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence

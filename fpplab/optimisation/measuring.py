@@ -1,7 +1,5 @@
 """Measures candidates on any rig: the evaluator that every worker of a search opens."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import ExitStack

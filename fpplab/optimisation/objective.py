@@ -1,7 +1,5 @@
 """Base class of the objectives of a search, each a module of `fpplab.optimisation.objectives`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """Rounds of candidates proposed by an optuna sampler, shared by the methods that use optuna."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The order of candidates: by the limits of a study first, then by its objectives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The result of a search, and its summary for JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path

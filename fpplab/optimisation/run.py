@@ -1,7 +1,5 @@
 """Runs a search from the study to the plans on disk."""
 
-from __future__ import annotations
-
 import os
 from contextlib import closing
 from dataclasses import replace

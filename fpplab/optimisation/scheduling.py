@@ -1,7 +1,5 @@
 """Distributes measurements to processes or to a dask scheduler's workers; results come back in any order."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable, Sequence

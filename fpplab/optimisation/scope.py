@@ -1,7 +1,5 @@
 """What `fpplab optimise` can search, by the names of the command line."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from typing import Literal
 

@@ -4,8 +4,6 @@ Bands and the noise of a seed are the same for all candidates, so that both canc
 with the simulation's own calibration. Where a twin states how uncertain it is, every seed draws another one.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress

@@ -1,7 +1,5 @@
 """Base class of the search methods, each a module of `fpplab.optimisation.methods`."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """The journal of a search: a killed one is run again, asks for the same, and finds its results here."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whether to believe what a search has found: by its neighbours, its borders, its end, and other seeds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

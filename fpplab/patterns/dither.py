@@ -5,8 +5,6 @@ The errors then alternate from mirror to mirror, and the blur of the projector's
 Source: Floyd and Steinberg, "An adaptive algorithm for spatial grayscale", 1976.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

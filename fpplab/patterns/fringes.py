@@ -1,7 +1,5 @@
 """Fringe patterns of a plan: the images that a projector is asked to show."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar

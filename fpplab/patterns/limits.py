@@ -1,7 +1,5 @@
 """Limits of responses and patterns, each with where it comes from: derived, measured or chosen."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -9,8 +9,6 @@ is sensitive to the harmonics `mN + 1`, m any integer (negative ones are k = |mN
 (Guo, He and Zhang, Opt. Lett. 29, 2004). a and b cancel. The error repeats N times in a fringe.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ The image is a grid of regions. Where light falls unevenly each region has its o
 projector's exponent: their fits must agree, otherwise something else than the response changes the levels.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple

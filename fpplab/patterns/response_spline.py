@@ -7,8 +7,6 @@ law, is decided by how well each level is predicted from the others.
 Source: Ramsay, Monotone regression splines in action, Stat. Sci. 3, 1988.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ distance of the shifted phases from what is measured, at the best position, is t
 apart. Shifts that are sums of likelier ones of the same direction are never the likeliest and are left out.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

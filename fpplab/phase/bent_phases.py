@@ -5,8 +5,6 @@ predicts the phase of a finer one, its own shift is magnified by the ratio of th
 contradict each other. The exponent that takes the shifts off best is that of the response.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise

@@ -10,8 +10,6 @@ An edge in depth may jump by a whole period too. There it hardly stays one all a
 each other on one side as on the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which projector coordinates a camera pixel may have: what decoding knows of the geometry, as plain maps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

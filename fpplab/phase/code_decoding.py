@@ -1,7 +1,5 @@
 """Decode the codes along one axis by maximum likelihood, whatever kinds they are of."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -10,8 +10,6 @@ candidate's correlation bounds its own; and codes outside of the range about a c
 from it, so that none of them needs a visit where it fits well. The range of the pixel before is tried first.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

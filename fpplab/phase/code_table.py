@@ -5,8 +5,6 @@ of coordinates, blurred as the projector and the camera blur it, and the coordin
 neighbouring ones that look alike are one candidate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple

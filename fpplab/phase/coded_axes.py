@@ -1,7 +1,5 @@
 """Axes that other codes than fringes tell: alone, or as the orders of fringes along the same axis."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache

@@ -3,8 +3,6 @@
 Conventions: `fpplab.core.conventions`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Phases of fringe sets in plain NumPy, for any number of pixels, with their variances."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

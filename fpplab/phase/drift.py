@@ -6,8 +6,6 @@ the coordinate is displaced, they do not show. A ramp is told from vibration by 
 follow it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -11,8 +11,6 @@ s² and t² follow from the frames themselves: least squares beside smooth surfa
 image. Their scatter from tile to tile is their uncertainty; what it may be 0 by is not corrected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace

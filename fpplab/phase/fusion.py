@@ -7,8 +7,6 @@ set that lies further from the finest than noise explains, because its order is 
 biased, does not take part. χ² counts all sets.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ that is measured, as the distance from the epipolar lines. Beyond, the next peri
 order is given.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -10,8 +10,6 @@ Two of them are joined again where most of their common border is sound and says
 A step of a whole number of periods along all of an edge is invisible in one set of fringes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

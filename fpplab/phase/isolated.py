@@ -1,7 +1,5 @@
 """Single pixels that no neighbour agrees with: a hot pixel of the sensor, or an order wrong by chance."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -8,8 +8,6 @@ because one float64 among them would halve the vectors; there are no branches, a
 what is not measured becomes NaN at the very end. Phases are counted in turns.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

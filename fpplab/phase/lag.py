@@ -5,8 +5,6 @@ frame of a set, however, has the last one of the set before in it, which its own
 Least squares over many pixels find the share there, beside gains and harmonics.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

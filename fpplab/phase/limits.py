@@ -3,8 +3,6 @@
 They are named tuples, because compiled functions read them.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

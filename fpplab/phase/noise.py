@@ -6,8 +6,6 @@ is measured again is rounded the same way again: that part of the variance is co
 level and phase (`repeated_rounding`), and no mean lessens it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

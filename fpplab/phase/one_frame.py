@@ -10,8 +10,6 @@ step, an edge of brightness or a shadow, of which the phase says nothing.
 One frame does not tell in which direction the phase rises: it is taken to rise along the camera's axis.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

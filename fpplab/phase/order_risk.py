@@ -1,7 +1,5 @@
 """The probability, by noise alone, that the fringe order of a pixel is wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

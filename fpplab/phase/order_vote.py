@@ -1,7 +1,5 @@
 """Repair of fringe orders: neighbours vote on the orders of pixels whose sets disagree."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray

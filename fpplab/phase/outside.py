@@ -5,8 +5,6 @@ there, by a period of the coarsest set, unless the other sets contradict. Where 
 they agree on tells that the depth range is too narrow; where the sets repeat themselves, nothing can tell.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

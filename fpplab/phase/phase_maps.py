@@ -1,7 +1,5 @@
 """Maps of the projector's coordinates that another program decoded, in files of arrays."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

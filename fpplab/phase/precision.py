@@ -1,7 +1,5 @@
 """How precise a plan makes its coordinates, and which pixels its noise costs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Phase noise is `u_φ = √2/√(M N) · u_I/B` for N steps of M frames each, and
 stripes)`. The noise u_I itself is found by `fpplab.phase.error_model`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from fpplab.core.conventions import TWO_PI, Floats

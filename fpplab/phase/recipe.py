@@ -1,7 +1,5 @@
 """A recording as the compiled decoder's tables."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ The compiled decoder (`fpplab.phase.kernels`) does the same arithmetic in one pa
 test holds it to this one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

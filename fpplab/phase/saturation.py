@@ -5,8 +5,6 @@ balanced: noise counts for more, and harmonics of the response, which cancel ove
 Both are computed, for the standard uncertainties of the pixel.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ part of the island outside of the projector's picture or of the depth range, or 
 of its pixels is known. It is never guessed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

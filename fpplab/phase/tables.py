@@ -1,7 +1,5 @@
 """What the compiled decoder reads and writes, as tuples of arrays."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -8,8 +8,6 @@ hypotheses: the base as measured, and one turn off. The one that ends inside the
 do, the one that agrees better with the finer wavelengths.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise

@@ -7,8 +7,6 @@ within the possible positions. Where a shifted position is likelier, it is taken
 from any doubt, which a bound shows without looking at a single shift.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A calibration from sessions of a target, and judged by others."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Signs that the frames of a session are not what its plan says, looked for before they are used."""
 
-from __future__ import annotations
-
 from fpplab.acquisition.synchronisation import IMPORTED_REMEDY, check_synchronisation, synchronisation_remedy
 from fpplab.core.errors import DataError
 from fpplab.diagnosis.plan import (

@@ -1,7 +1,5 @@
 """Frames of a session that are what they should be, and their projector coordinates."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The range of depths of a measurement, and what a plan can unwrap in it."""
 
-from __future__ import annotations
-
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.depth import DepthInterval, DepthRange, first_stated

@@ -1,7 +1,5 @@
 """Whether the rig is known to have been as it was characterised when a scan was taken."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 
 import numpy as np

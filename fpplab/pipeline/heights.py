@@ -1,7 +1,5 @@
 """Heights of a session over a reference plane: two recordings of one plan, and how the devices stand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

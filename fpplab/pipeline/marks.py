@@ -1,7 +1,5 @@
 """What the reference marks in a scan say about the rig's geometry, in µm at the points of the scan."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

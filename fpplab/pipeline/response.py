@@ -1,7 +1,5 @@
 """The response of projector and camera to grey levels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import closing
 

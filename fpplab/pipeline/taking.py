@@ -1,7 +1,5 @@
 """Frames of a plan, acquired on an open rig into sessions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path

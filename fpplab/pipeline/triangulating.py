@@ -1,7 +1,5 @@
 """Points of a recording without uncertainty, or why there are none."""
 
-from __future__ import annotations
-
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.errors import ConfigError, DataError

@@ -1,7 +1,5 @@
 """Which projector coordinates a camera pixel may have, from the calibration and a range of depths."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -13,8 +13,6 @@ flying
     surface with. A majority decides, so half of the usual allowance for noise is enough for each.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from enum import IntEnum
 

@@ -4,8 +4,6 @@ A change moves points off their epipolar lines, which is seen, and along them, w
 unknown shape. Its size is a normal variable, conditioned on how near the points lie to their epipolar lines.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Limits of reconstruction; a named tuple, because compiled functions read them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

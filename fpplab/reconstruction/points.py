@@ -1,7 +1,5 @@
 """Coordinates -> points: triangulate, and remove what lies on no surface."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Connected regions of pixels that are too small: runs in rows, joined in bands on all processors."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray

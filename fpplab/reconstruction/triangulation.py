@@ -4,8 +4,6 @@ The depth on a ray X = z (a, b, 1) is where the point's image in the projector, 
 decoded coordinates, by Gauss-Newton. With two coded axes the rest is the distance from the epipolar curve.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from typing import NamedTuple, TypeVar

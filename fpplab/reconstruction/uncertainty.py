@@ -5,8 +5,6 @@ motion is given separately, because it is what a comparison with a true shape sh
 √trace of its covariance (Helmert's point error), so that independent contributions add in quadrature.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The acceptance test as a page: its result, every value, and maps of the errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The pages of `fpplab characterise`: a calibration from poses, and the judgement of one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from fpplab.report.devices import judgement_verdict

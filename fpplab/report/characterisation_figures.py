@@ -1,7 +1,5 @@
 """Figures of a characterisation beyond residuals: epipolar distances, the board's shape, uncertainty."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """The page of `fpplab check`: what is wrong with a rig, and what its camera sees."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of `fpplab compare`: how far a cloud is from the true shape."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import matplotlib as mpl

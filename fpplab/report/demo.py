@@ -1,7 +1,5 @@
 """The page of `fpplab demo`: response, characterisation, and every artefact with its errors."""
 
-from __future__ import annotations
-
 from fpplab.report.measurements import write_report
 from fpplab.report.page import PageBasis
 from fpplab.report.scans import scan_section

@@ -1,7 +1,5 @@
 """Sections of the report on camera and projector: a characterisation, and the judgement of one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

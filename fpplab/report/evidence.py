@@ -1,7 +1,5 @@
 """A picture for every finding: the frame, map or curve in which its cause shows, with its limit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from fpplab.core.drawing import common_style, encode_png

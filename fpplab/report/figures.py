@@ -1,7 +1,5 @@
 """Figures of every step of a measurement, as PNG files in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

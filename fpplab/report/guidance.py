@@ -1,7 +1,5 @@
 """Section of the report on a guided characterisation: its poses in their order."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A page of several measurements: response, characterisation, scans."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path

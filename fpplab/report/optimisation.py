@@ -1,7 +1,5 @@
 """A search as a page: before and after, convergence, Pareto front, each parameter, and maps of the errors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A report: one HTML file that fetches nothing, with the verdicts before all else."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Points on the pixel grid of an image, and maps made of them."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np

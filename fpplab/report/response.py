@@ -1,7 +1,5 @@
 """The response of projector and camera: its section of a report, and the page of `fpplab gamma`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Figures of the response of projector and camera, and of the levels seen of a synchronisation marker."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One scan on a page: its figures, its view in three dimensions, and its lines in the tables at the top."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

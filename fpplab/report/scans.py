@@ -1,7 +1,5 @@
 """A scan as a section of the report, or as a page of its own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from fpplab.comparison import Comparison

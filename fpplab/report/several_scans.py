@@ -1,7 +1,5 @@
 """One page for several scans: verdicts, figures side by side, and what differs in their provenance."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Maps of the points' standard uncertainty: from noise, phase error and calibration, and of the form."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Numbers as a page shows them."""
 
-from __future__ import annotations
-
 NOT_KNOWN = "–"  # shown where a figure is not known
 
 

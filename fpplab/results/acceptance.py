@@ -1,7 +1,5 @@
 """The result of `fpplab verify`: an acceptance test, and whether to believe the system."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

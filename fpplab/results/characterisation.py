@@ -1,7 +1,5 @@
 """The results of `fpplab characterise`: a calibration from poses of a board, and the judgement of one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

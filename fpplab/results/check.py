@@ -1,7 +1,5 @@
 """The result of `fpplab check`: what is wrong with a rig, and what shows it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The result of `fpplab compare`: how far a cloud is from the true shape."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The result of `fpplab decode`: projector coordinates of a session, and whether to believe them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The result of the demonstration: a whole measurement on the virtual bench."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The result of triangulating maps without a session."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The result of `fpplab gamma`: a response, and whether it is good enough for a plan."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

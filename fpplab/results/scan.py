@@ -1,7 +1,5 @@
 """The result of a scan, whether measured now or reconstructed from a recorded session."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The result of `fpplab optimise`: a search, whether to believe its optimum, and what it changes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The result of `fpplab report`: several scans side by side, and how far they are apart."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A ZIP file with what somebody else needs to see what went wrong, and a list of what is in it."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Pixels of several channels that are grey: all channels are equal."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

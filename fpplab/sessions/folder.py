@@ -1,7 +1,5 @@
 """The directory of a session: what it holds at first, what may be replaced, space for its frames."""
 
-from __future__ import annotations
-
 import glob
 import re
 import shutil

@@ -8,8 +8,6 @@
 Every version is read as it is. A session that is completed, or repaired, is brought to the present one first.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """One frame as a file: an uncompressed TIFF that is memory-mapped, with a checksum of its pixels."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Frames go to disk while the next ones are taken."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor

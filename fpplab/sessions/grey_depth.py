@@ -1,7 +1,5 @@
 """How many bits the grey levels of images have, found from the levels that occur or confirmed by them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

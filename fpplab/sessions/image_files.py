@@ -1,7 +1,5 @@
 """Files that hold grey images: pictures, TIFF files of several pages, NumPy arrays."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from collections.abc import Iterator

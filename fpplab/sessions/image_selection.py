@@ -1,7 +1,5 @@
 """Which images of another program, in which order: numbered names, lists, patterns, files of many images."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

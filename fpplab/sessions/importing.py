@@ -1,7 +1,5 @@
 """Images of other programs -> a session, or the frames themselves."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass

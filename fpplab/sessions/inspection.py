@@ -1,7 +1,5 @@
 """What a session is, and all that is wrong with it, where reading stops at the first fault."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """One process at a time writes into a session."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial

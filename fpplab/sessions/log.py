@@ -1,7 +1,5 @@
 """The log of a session, for people and bug reports: JSON lines, left out where they cannot be written."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

@@ -1,7 +1,5 @@
 """PGM and PPM files, with their levels as stored: other readers scale them to 8 or 16 bits."""
 
-from __future__ import annotations
-
 import re
 from typing import IO, Any
 

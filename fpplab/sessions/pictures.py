@@ -1,7 +1,5 @@
 """Pictures in PNG, TIFF, JPEG and BMP files, with their grey levels as stored."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from pathlib import Path

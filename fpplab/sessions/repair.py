@@ -3,8 +3,6 @@
 A damaged file stays until the one that replaces it is on disk, so that a repair can be made again.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterable, Iterator

@@ -9,8 +9,6 @@ taken of it. Nothing is invented: other patterns, settings or more frames than w
 are refused.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace

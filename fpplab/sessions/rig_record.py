@@ -1,7 +1,5 @@
 """The rig as a session records it: which projector, which response, and whether it is still the same."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Latency and refresh period of a projector, both measured with the camera."""
 
-from __future__ import annotations
-
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Write a rig file from what is connected: choose each device, open it, and test it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """What noise makes of a plan's coordinates, orders and depths, before anything is measured."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass
 

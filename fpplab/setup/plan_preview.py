@@ -1,7 +1,5 @@
 """What a measurement by a plan consists of on a rig, as its devices answer before anything is shown."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

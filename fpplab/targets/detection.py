@@ -1,7 +1,5 @@
 """Detection of a whole board in an image, with points located to a small fraction of a pixel."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Drawings of boards: rectangles and discs in mm, painted as images antialiased by area."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import NamedTuple
 

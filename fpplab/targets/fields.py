@@ -1,7 +1,5 @@
 """Fields of a target file that every kind of board has."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

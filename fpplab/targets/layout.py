@@ -1,7 +1,5 @@
 """What a kind of board must define: its points, its drawing, its symmetry and how it is detected."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass

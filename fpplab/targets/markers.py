@@ -1,7 +1,5 @@
 """Square markers of OpenCV's dictionaries, which say which part of a board is seen."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Orientation of a detected grid of points: which of its corners is the board's first point."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

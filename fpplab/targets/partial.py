@@ -5,8 +5,6 @@ that should be in the image is there, and the board ends where the lattice does 
 whatever occludes points of the board occludes its edge as well, and would otherwise be taken for its end.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import product
 from typing import Any

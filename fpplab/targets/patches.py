@@ -1,7 +1,5 @@
 """Patches of a lattice grown from points in an image, for boards that are only partly in view."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree

@@ -1,7 +1,5 @@
 """Points of a board located by least squares: a brightness model fitted to the pixels around each."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit, prange
 

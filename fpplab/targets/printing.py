@@ -1,7 +1,5 @@
 """Boards on paper: one page at true scale in mm, y up, with marks to cut it out and a ruler to verify it."""
 
-from __future__ import annotations
-
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path

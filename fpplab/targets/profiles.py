@@ -3,8 +3,6 @@
 A model has parameters θ of which θ[:2] is the offset of its centre in px; away from its edges it is ±1.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Boards of squares: what a checkerboard and a ChArUco board have in common."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

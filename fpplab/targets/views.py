@@ -1,7 +1,5 @@
 """Images of a plane board: points found in them, homographies and image windows."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, Protocol

@@ -1,7 +1,5 @@
 """An acceptance test as it goes: each position's frames and cloud, then the fits' errors and the verdict."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

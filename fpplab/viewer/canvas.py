@@ -1,7 +1,5 @@
 """What all views draw with: pictures, maps with their colour bars, curves, points, devices."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable

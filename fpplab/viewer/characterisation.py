@@ -1,7 +1,5 @@
 """A characterisation as it goes: the frames of its poses, then boards, devices and residuals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

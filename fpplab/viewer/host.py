@@ -7,8 +7,6 @@ rerun's own server gives what is recorded to any page of any site, and its page 
 page here loads rerun's compiled viewer, and this server answers only who knows its random token.
 """
 
-from __future__ import annotations
-
 import ctypes
 import http.client
 import json

@@ -1,7 +1,5 @@
 """Arrangements of views that several commands share."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

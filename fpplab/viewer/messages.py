@@ -1,7 +1,5 @@
 """Messages to the process that draws, and the bounded queue in which they wait to be sent."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Its standard input is pickled: an `Opening`, then pairs of a view's method and i
 standard output, a line of JSON each: where it is shown, why it ended, and whenever the view was closed.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

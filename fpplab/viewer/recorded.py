@@ -1,7 +1,5 @@
 """Recorded sessions, and recordings that a view left, in the viewer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A measurement of the response as it goes: the uniform images, the levels seen, and the fit."""
 
-from __future__ import annotations
-
 from matplotlib.figure import Figure as Sheet
 
 from fpplab.core.drawing import ACCENT, FULL, as_png, single_axes

@@ -1,7 +1,5 @@
 """A search as it goes: all candidates with their front and optimum, and the best by epoch."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from matplotlib.figure import Figure as Sheet

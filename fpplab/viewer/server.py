@@ -1,7 +1,5 @@
 """The server of the viewer: rerun's program in a window, or a page, on this computer alone."""
 
-from __future__ import annotations
-
 import atexit
 import importlib.util
 import json

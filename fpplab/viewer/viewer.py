@@ -1,7 +1,5 @@
 """The viewer as commands use it: a measurement is never slowed, stopped or outlived by it."""
 
-from __future__ import annotations
-
 import json
 import logging
 import pickle

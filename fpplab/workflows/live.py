@@ -1,7 +1,5 @@
 """Set a rig up while watching what it sees."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass

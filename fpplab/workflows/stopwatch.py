@@ -1,7 +1,5 @@
 """The time that a workflow takes."""
 
-from __future__ import annotations
-
 import time
 
 

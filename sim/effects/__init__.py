@@ -4,8 +4,6 @@ A module owns all there is of its effect; see `sim.effects.base.Effect`. World f
 parameters have the fields of all effects, in their order.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 

@@ -4,8 +4,6 @@ Frames at regular intervals see the bands move by the same share of a period fro
 they are at another place in each.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """Falloff of the projector: how much light each mirror gets, relative to the middle of the image."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any

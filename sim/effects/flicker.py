@@ -1,7 +1,5 @@
 """Flicker: the projector's light has another factor in each frame."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """Lamps of the room: light that is not the projector's and falls on surfaces from one side."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 

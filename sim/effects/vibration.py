@@ -4,8 +4,6 @@ An oscillation in step with the fringes' phase steps makes ripples of the phase 
 the same size do not, so it matters how vibration continues from frame to frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 

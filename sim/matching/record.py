@@ -1,7 +1,5 @@
 """Record of the epochs of a matching: one JSON line each, from which an interrupted one continues."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path

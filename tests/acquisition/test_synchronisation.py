@@ -1,7 +1,5 @@
 """Frames prove that each shows its own pattern: every fault is named, and frames in step are accepted."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

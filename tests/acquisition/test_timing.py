@@ -1,7 +1,5 @@
 """Times of triggered runs, by hand for cameras and projectors of all kinds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The artefacts are closed bodies of known volume, placed as the twin expects them."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Parts from files: read as one solid, or refused in a sentence that names the file and the remedy."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

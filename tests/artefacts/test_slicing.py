@@ -1,7 +1,5 @@
 """Printed parts: volumes, staircases and wall marks that are known exactly."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Files of strangers that attack who reads them: archives, YAML, JSON and words for the terminal."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """What other sites, other programs and other computers ask of the two pages: they get nothing."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress

@@ -1,7 +1,5 @@
 """`python -m benchmarks crash` in short: few moments, of the commands that take seconds."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

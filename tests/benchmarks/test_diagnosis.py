@@ -1,7 +1,5 @@
 """The benchmark of causes runs by itself, whole or a part of it."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Hidden benches: every effect does what it says, and nothing else is there."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import fields, replace
 

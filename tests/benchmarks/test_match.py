@@ -1,7 +1,5 @@
 """The benchmark of matching, in the small: few poses at an eighth of the sensor's pixels along each side."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

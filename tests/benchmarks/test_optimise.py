@@ -1,7 +1,5 @@
 """The benchmark of optimisation, in the small: few pixels, one artefact, and searches that end soon."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Benches outside of the twin's model: their effects, and how they are judged."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How predictions of twins of hidden benches are judged."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How a twin of real captures is judged: by the mean of its images, and by the mean square of its errors."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.real_captures import LeftOutPose, twin_figures

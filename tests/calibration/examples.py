@@ -1,7 +1,5 @@
 """A calibration whose every number differs from the others."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fpplab.calibration.model import Calibration, Uncertainty

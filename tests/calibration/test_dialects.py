@@ -1,7 +1,5 @@
 """Calibrations of other programs, as their own writers write them, are read or named with what to do."""
 
-from __future__ import annotations
-
 import json
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Calibrations to OpenCV's files and back, and from other programs' files."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The calibration file: back as it was, and refused when it does not fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Calibrations that no rig can have are refused where they come in, and odd ones of real rigs are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

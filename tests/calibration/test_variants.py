@@ -1,7 +1,5 @@
 """Calibrations in the files of other programs, read back as those programs read them."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

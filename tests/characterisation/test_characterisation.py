@@ -1,7 +1,5 @@
 """Characterisation: what is put in comes out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What does not belong is thrown out and named; what people get wrong is said."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """How much of the distortion is fitted, and whether the board's shape is, judged by poses left out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Combining calibrations of one rig, against what the rig was like each time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Correcting a calibration by few poses, against what really changed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

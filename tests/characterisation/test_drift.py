@@ -1,7 +1,5 @@
 """A projector whose picture walks is told from one at rest, from a board that moved, and from a lens."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sizes of errors, as the joint adjustment estimates them, against those that were drawn."""
 
-from __future__ import annotations
-
 from dataclasses import astuple, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The guide: first poses, what does not fit, and words for a person."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from dataclasses import replace
 

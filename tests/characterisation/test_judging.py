@@ -1,7 +1,5 @@
 """Judging a calibration by poses that it was not fitted to, and putting its uncertainty to the test."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A lens whose scale differs between poses is told from noise and from a board that moved."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

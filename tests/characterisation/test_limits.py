@@ -1,7 +1,5 @@
 """Limits of a characterisation are one value, which a file may change."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Reference marks beside what really changed: exact truths, with noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

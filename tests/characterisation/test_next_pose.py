@@ -1,7 +1,5 @@
 """The choice of the next pose, against covariances that the bundle adjustment computes itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From pictures to points: what belongs to the board is found, and mended where orders are wrong."""
 
-from __future__ import annotations
-
 from functools import cache
 from types import SimpleNamespace
 

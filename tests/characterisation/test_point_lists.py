@@ -1,7 +1,5 @@
 """Points that another program located: what is in a table comes in, and what is wrong with one is named."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path

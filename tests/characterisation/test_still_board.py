@@ -1,7 +1,5 @@
 """How far a board moved, against images that were moved by a known distance."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -4,8 +4,6 @@
 cell whose file is what the argument takes is left out: the command would begin its work.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import logging

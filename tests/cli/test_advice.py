@@ -1,7 +1,5 @@
 """What the program answers to words that it does not know, and to questions about itself."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`fpplab cache`: what is kept outside of results is shown and cleared, and nothing else is touched."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Captures of a real LightCrafter 4500 and one camera, from images to characterisation and cloud."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """`fpplab check --out FOLDER` keeps a picture of each finding, and the page shows it."""
 
-from __future__ import annotations
-
 import html
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`fpplab characterise --combine`: several calibrations of one rig."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

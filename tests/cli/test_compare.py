@@ -1,7 +1,5 @@
 """`fpplab compare` says first what matters: how far, or that an alignment is missing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

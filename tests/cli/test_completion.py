@@ -1,7 +1,5 @@
 """Completion in a shell: it can be installed, and knows the configurations that come with fpplab."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The demonstration, and every command on what it leaves."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Whole commands: the range of depths of option, plan and rig file, and the cost of uncertain orders."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

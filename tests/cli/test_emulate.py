@@ -1,7 +1,5 @@
 """`fpplab emulate`: an emulated device that other programs use."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

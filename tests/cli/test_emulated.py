@@ -1,7 +1,5 @@
 """The real drivers on the emulated bench measure what the virtual bench by itself does."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`fpplab export`: which kind of file becomes which, and what is refused."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`fpplab gamma` on a small virtual bench, and a plan that uses what it found."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """`fpplab characterise --guide` as a whole command, and what goes with what."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Whole commands: signals at any moment of their lives, and streams that take nothing."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

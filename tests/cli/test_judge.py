@@ -1,7 +1,5 @@
 """`fpplab characterise --judge`: a calibration beside poses that it was not fitted to."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`fpplab live`: its answer, its keys in a terminal, and what it refuses."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re

@@ -1,7 +1,5 @@
 """`--verbose` and `--log`: what is done and how long it takes, and nothing without."""
 
-from __future__ import annotations
-
 import logging
 import re
 from collections.abc import Iterator

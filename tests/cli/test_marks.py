@@ -1,7 +1,5 @@
 """Reference marks from printing to correction, on the twin: they stand in view behind what is scanned."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

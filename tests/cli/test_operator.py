@@ -1,7 +1,5 @@
 """What an operator in a hurry does: stop, mend, and give the same command again."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

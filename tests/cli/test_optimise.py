@@ -1,7 +1,5 @@
 """`fpplab optimise` as a user runs it: wrong input is one sentence; a plan found runs unchanged."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

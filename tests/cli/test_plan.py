@@ -1,7 +1,5 @@
 """`fpplab plan show` on the reference rig, whose limits are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

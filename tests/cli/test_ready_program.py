@@ -1,7 +1,5 @@
 """Commands run in a process forked for them do as in one of their own."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

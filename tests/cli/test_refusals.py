@@ -1,7 +1,5 @@
 """Every kind of file into every argument: what is said is what was reviewed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The pages that commands write: `compare --report`, `report`, and the demonstration's."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

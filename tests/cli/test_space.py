@@ -1,7 +1,5 @@
 """Space on the disk is asked for before anything is projected or written, and refused in one sentence."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 from collections import namedtuple

@@ -1,7 +1,5 @@
 """Nested results as lines and tables."""
 
-from __future__ import annotations
-
 from fpplab.cli.tables import as_table, readable
 
 

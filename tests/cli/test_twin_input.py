@@ -1,7 +1,5 @@
 """Wrong worlds through the command: exit code 2, one sentence as JSON, nothing left behind."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Scans with chosen fringes on a simulated rig, from the command line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What `fpplab reconstruct` says of how well each point is known, as far as the calibration tells."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

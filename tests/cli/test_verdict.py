@@ -1,7 +1,5 @@
 """`reconstruct` says whether to believe its result, and writes nothing that is useless."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The acceptance test on the virtual bench, whose standards and calibration are exactly known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

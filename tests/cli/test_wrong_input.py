@@ -3,8 +3,6 @@
 `python -m tests.cli.test_wrong_input` writes the answers of today into the table, to be reviewed by hand.
 """
 
-from __future__ import annotations
-
 import contextlib
 import shlex
 import tempfile

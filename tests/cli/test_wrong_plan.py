@@ -1,7 +1,5 @@
 """Plans that do not describe their images, by the commands that meet them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

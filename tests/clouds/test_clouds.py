@@ -1,7 +1,5 @@
 """Clouds survive their files, and files that are not clouds are refused in one sentence."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 

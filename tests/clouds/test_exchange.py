@@ -1,7 +1,5 @@
 """Clouds in the files of other programs, read back by the libraries that read them."""
 
-from __future__ import annotations
-
 import csv
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Clouds as other programs write them: read with the right places and grey levels, or refused by the line."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

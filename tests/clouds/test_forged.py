@@ -1,7 +1,5 @@
 """Clouds and meshes that declare what they do not hold are refused at once, in one sentence."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A cloud as a surface over the pixels: which points its faces join, and how far they lie from it."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """SMCD against its definition; visibility, surfaces and alignment against analytic scenes."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Meshes and clouds of other programs in a comparison: damaged, wound this way and that, in another unit."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

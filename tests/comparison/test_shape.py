@@ -1,7 +1,5 @@
 """The scale of a cloud and lengths of artefacts, against clouds whose scale, shear and noise are exact."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the conformance tests have in common: a plan that any rig can show, and how to look at it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
 

@@ -4,8 +4,6 @@ A test asks for `rig` (open, idle and dark), for one device of it, or for `devic
 of each rig in turn.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from functools import cache

@@ -1,7 +1,5 @@
 """The reference rig with the LightCrafter's driver: the camera sees what the emulated controller shows."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """The reference rig with the real camera driver: pylon's emulator sees what the reference projector shows."""
 
-from __future__ import annotations
-
 import threading
 
 from drivers.emulators.pylon import EmulatedPylon

@@ -4,8 +4,6 @@ It is as strict as a real one: a trigger that comes before it is ready, with ano
 source is ignored, and frames are numbered from 1 after each start.
 """
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from pathlib import Path

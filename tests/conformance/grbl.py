@@ -1,7 +1,5 @@
 """The reference bench, with a GRBL controller on a pseudo-terminal in place of its stage."""
 
-from __future__ import annotations
-
 import time
 
 from drivers.emulators.grbl import GrblController

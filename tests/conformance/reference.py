@@ -5,8 +5,6 @@ black level and noise. Nothing else happens, so that every deviation is a fault 
 device interface.
 """
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ bench: {backend: "tests.conformance.slipping:SlippingBench", latency_s: 0.015}
 bench: {backend: "tests.conformance.slipping:SlippingBench", cause: missed, frame: 5}
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 

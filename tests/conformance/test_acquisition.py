@@ -1,7 +1,5 @@
 """Patterns and frames in step, on every rig."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What every camera does, and what it refuses."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import replace

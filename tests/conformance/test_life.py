@@ -1,7 +1,5 @@
 """Opening, closing and failing, the same for every kind of device."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What every projector does, and what it refuses."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

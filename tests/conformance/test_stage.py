@@ -1,7 +1,5 @@
 """What every stage does, and what it refuses."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

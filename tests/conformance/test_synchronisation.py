@@ -1,7 +1,5 @@
 """Benches whose timing slips: noticed and named before anything is computed, by whole commands too."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

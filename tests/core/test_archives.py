@@ -1,7 +1,5 @@
 """NPZ files are believed only where they have room for what they declare."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zipfile

@@ -1,7 +1,5 @@
 """Memory that is used again: never while somebody holds it, and large files written past the cache."""
 
-from __future__ import annotations
-
 import gc
 from pathlib import Path
 

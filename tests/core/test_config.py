@@ -1,7 +1,5 @@
 """Configuration is read strictly, and every refusal is one sentence that helps."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

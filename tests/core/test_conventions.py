@@ -1,7 +1,5 @@
 """The identities that encoding and decoding rest on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """`fpplab doctor`: each thing it looks at, as it should be and not."""
 
-from __future__ import annotations
-
 import time
 from importlib import metadata
 from pathlib import Path

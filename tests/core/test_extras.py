@@ -1,7 +1,5 @@
 """Extras: what brings a module, and what is said where it is missing."""
 
-from __future__ import annotations
-
 import pickle
 import re
 import sys

@@ -1,7 +1,5 @@
 """Parsers of others run apart, and what ends, exhausts or detains them is refused in one sentence."""
 
-from __future__ import annotations
-
 import os
 import struct
 import sys

@@ -1,7 +1,5 @@
 """Rigid transforms as a group, and the pinhole against its own inverse and OpenCV."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Signals at the moments at which Python loses them; whole commands are interrupted in tests/cli."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

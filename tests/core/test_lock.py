@@ -1,7 +1,5 @@
 """Locks of files between processes, by `flock` and by the single bytes of Windows."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess

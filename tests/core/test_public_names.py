@@ -1,7 +1,5 @@
 """The public names: documented, taken as text where paths are, short in print, and rich in a notebook."""
 
-from __future__ import annotations
-
 import base64
 import inspect
 import io

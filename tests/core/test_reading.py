@@ -1,7 +1,5 @@
 """Small files are small, JSON is plain data, and no path in a file leaves its folder."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Weights of robust least squares."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Answers of commands as tables."""
 
-from __future__ import annotations
-
 import csv
 import io
 from pathlib import Path

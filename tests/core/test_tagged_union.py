@@ -1,7 +1,5 @@
 """Families of documents whose members are found by themselves."""
 
-from __future__ import annotations
-
 import pickle
 import sys
 from abc import abstractmethod

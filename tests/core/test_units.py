@@ -1,7 +1,5 @@
 """Lengths with a unit, and numbers of bytes."""
 
-from __future__ import annotations
-
 import pytest
 
 from fpplab.core.errors import ConfigError

@@ -1,7 +1,5 @@
 """What Windows lacks and has, in this process; the locks of files are still the system's own."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

@@ -1,7 +1,5 @@
 """Which modules a rig file may have imported."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from importlib.metadata import EntryPoint

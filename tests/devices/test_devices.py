@@ -1,7 +1,5 @@
 """What the base classes see to, whatever a backend does."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A person as a fixture, at the other end of a pseudo-terminal."""
 
-from __future__ import annotations
-
 import io
 import os
 import sys

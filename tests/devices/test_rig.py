@@ -1,7 +1,5 @@
 """Rig files: what they open, and what they refuse."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Turns on a rig: a watcher releases it, commands share it, and what a dead process held is free."""
 
-from __future__ import annotations
-
 import multiprocessing
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Soft limits of the rig file: moves beyond them need consent, and the travel holds in any case."""
 
-from __future__ import annotations
-
 import io
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Scans of a part by formulas, with one thing or several wrong at the bench."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2

@@ -1,7 +1,5 @@
 """The verdict on an acceptance test: each error is told by its cause, on shapes whose errors are known."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A cause is one file: adding it changes verdicts, documentation and reports; limits are values of a file."""
 
-from __future__ import annotations
-
 import gc
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Faults of a bench named from the scan's own frames and points; benches without fault left in peace."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 from typing import Any

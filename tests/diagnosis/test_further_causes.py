@@ -1,7 +1,5 @@
 """Harmonics, interreflection, scaled pictures, missing colours, bands; the table that lists all causes."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

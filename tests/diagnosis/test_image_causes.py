@@ -1,7 +1,5 @@
 """What changes images between scene and decoder is named, and told by what it costs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

@@ -1,7 +1,5 @@
 """Causes rank before what they bring about."""
 
-from __future__ import annotations
-
 from fpplab.diagnosis import Finding, cause_named, known_causes
 from fpplab.diagnosis.causes.saturated import SATURATED
 from fpplab.diagnosis.causes.wrong_resolution import WRONG_RESOLUTION

@@ -1,7 +1,5 @@
 """Causes that look alike, or hide each other, on benches where they were once mistaken."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """`python -m tests.docs.causes` writes the table of causes in docs/verdicts.md from the causes themselves."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`python -m tests.docs.faults` writes docs/faults.md from docs/faults.yaml."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

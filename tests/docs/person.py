@@ -1,7 +1,5 @@
 """A person at the emulated bench: does what the operator's fixture asks, without a terminal."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The page of faults is that of its table, and every test that the table names exists."""
 
-from __future__ import annotations
-
 import ast
 
 import pytest

@@ -1,7 +1,5 @@
 """The commands of docs/how-to/first-day.md, each on emulated devices, print what the page shows."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import sys

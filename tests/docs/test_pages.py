@@ -1,7 +1,5 @@
 """Every page of the documentation does what it shows."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from functools import cache

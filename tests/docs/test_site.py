@@ -1,7 +1,5 @@
 """The site as a reader gets it: built without a warning, read without a network, wide and on a phone."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Iterator

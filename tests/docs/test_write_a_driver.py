@@ -1,7 +1,5 @@
 """The how-to's cameras, taken from its page, pass the conformance suite; worse ones do not."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

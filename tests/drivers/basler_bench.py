@@ -1,7 +1,5 @@
 """Helpers for tests of the Basler driver with emulated cameras."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -4,8 +4,6 @@ Names are those of Basler's parameter reference for each family; ranges of GainR
 of the models named. Every feature that makes frames other than the sensor's is found switched on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

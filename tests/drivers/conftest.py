@@ -1,7 +1,5 @@
 """An emulated bench with a Basler camera, for the tests that ask for one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """A client that sends raw bytes to the emulated controller."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The real drivers on an emulated bench whose optics are the reference rig, and the images expected there."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An emulated projector with a flash that can be rewritten, and whose power can fail at any message."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A firmware file in the maker's layout."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

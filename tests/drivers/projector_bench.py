@@ -1,7 +1,5 @@
 """An emulated LightCrafter 4500 on an emulated USB connection, with patterns in flash, to test its driver."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

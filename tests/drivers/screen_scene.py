@@ -1,7 +1,5 @@
 """A virtual scene in front of a display projector and a video camera, as files that whole commands take."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

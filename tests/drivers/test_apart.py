@@ -1,7 +1,5 @@
 """Libraries in a process of their own: they answer, crash, block and print, and nothing here is harmed."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The Basler driver on pylon's own camera emulator: opening, settings, frames, files."""
 
-from __future__ import annotations
-
 import gc
 import threading
 from dataclasses import replace

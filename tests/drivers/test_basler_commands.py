@@ -1,7 +1,5 @@
 """`fpplab camera save|load` on pylon's emulated cameras."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

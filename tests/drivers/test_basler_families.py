@@ -1,7 +1,5 @@
 """The Basler driver on node maps of five cameras: configured, read back, and raw whatever was left behind."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace

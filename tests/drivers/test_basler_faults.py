@@ -1,7 +1,5 @@
 """The Basler driver on pylon's own camera emulator: every fault that it can make, and time-outs."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The Basler driver on what pylon's emulator lacks: other features, packed pixels, other counts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """What is found and what is said to be missing, with the libraries' own answers in their place."""
 
-from __future__ import annotations
-
 import builtins
 import os
 import sys

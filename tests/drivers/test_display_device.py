@@ -1,7 +1,5 @@
 """Any projector with a display input: what it draws, and what it says it shows."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

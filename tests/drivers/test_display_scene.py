@@ -1,7 +1,5 @@
 """A virtual scene measured through a display: the pixels of an X server's screen light it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The display of the video port: frames pixel by pixel through SDL, from a process that leaves nothing."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -1,7 +1,5 @@
 """The emulated controller, driven with raw bytes: messages, tables, validation, sequences."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

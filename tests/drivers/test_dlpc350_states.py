@@ -1,7 +1,5 @@
 """The emulated controller, driven with raw bytes: refused commands, modes, light and USB faults."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The emulated bench: what the real drivers take is what the optics capture of the projected patterns."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

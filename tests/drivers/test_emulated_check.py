@@ -1,7 +1,5 @@
 """What `fpplab check` tells of the trigger, with the real drivers on an emulated bench."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

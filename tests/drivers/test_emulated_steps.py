@@ -1,7 +1,5 @@
 """`fpplab check --steps` with the real drivers on an emulated bench."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Patterns in a firmware file, decoded pixel for pixel by a reader that shares no code with the builder."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import struct

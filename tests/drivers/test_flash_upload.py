@@ -1,7 +1,5 @@
 """Uploads into an emulated flash: only what must be is written, and every interruption can be mended."""
 
-from __future__ import annotations
-
 import json
 import struct
 import sys

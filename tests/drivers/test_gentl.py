@@ -1,7 +1,5 @@
 """The driver of GenTL cameras, on a scripted camera and on a real producer without a sensor."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The stage driver over a pseudo-terminal: where it goes, and what it says when something is wrong."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace

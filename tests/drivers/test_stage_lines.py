@@ -1,7 +1,5 @@
 """The language of GRBL: every kind of line, and nothing else; and the driver under noise."""
 
-from __future__ import annotations
-
 import re
 from contextlib import suppress
 

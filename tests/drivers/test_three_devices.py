@@ -1,7 +1,5 @@
 """A display projector, a video camera and a stage measure a virtual scene; tests/vm does so with a kernel."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

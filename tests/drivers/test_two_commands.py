@@ -1,7 +1,5 @@
 """A display projector and a video camera: characterised by one command, and a card measured by another."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

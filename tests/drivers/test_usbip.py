@@ -1,7 +1,5 @@
 """The emulated device of the kernel's USB/IP hub; the test takes the part of the kernel."""
 
-from __future__ import annotations
-
 import errno
 import queue
 import socket

@@ -1,7 +1,5 @@
 """The driver of video cameras on a scripted device file: fresh frames, raw frames, and what is refused."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The examples run as their first lines say, on what the demonstration leaves."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

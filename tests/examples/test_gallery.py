@@ -1,7 +1,5 @@
 """Each script of the gallery shows the fault that it is named after."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """The notebooks run from top to bottom on what the demonstration leaves, and hold no outputs."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -4,8 +4,6 @@ Parts: `pages`, on a file system with room for 0, 1, 2 … pages; `writes`, ever
 full, or whose user has no quota left, from its n-th write on; `vanish`, scans whose disk is gone midway.
 """
 
-from __future__ import annotations
-
 import argparse
 import errno
 import sys

@@ -1,7 +1,5 @@
 """The writing commands that are tried, on data as small as they allow."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

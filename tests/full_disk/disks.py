@@ -1,7 +1,5 @@
 """File systems of a size of one's own: tmpfs, which root alone can mount."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager

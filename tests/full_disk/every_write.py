@@ -1,7 +1,5 @@
 """One writing command whose disk is full from its first write on, from its second, … from its last."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable

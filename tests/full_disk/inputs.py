@@ -1,7 +1,5 @@
 """Every command that writes, on data as small as they allow."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

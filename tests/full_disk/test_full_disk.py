@@ -1,7 +1,5 @@
 """A command whose disk is full leaves nothing half-written and says so."""
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
 

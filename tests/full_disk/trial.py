@@ -1,7 +1,5 @@
 """One writing command on a disk with room for 0, 1, 2 … pages, until it has room enough."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A scan whose disk is gone from one moment to the next, and back later with what was flushed to it."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import shutil

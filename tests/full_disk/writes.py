@@ -1,7 +1,5 @@
 """Commands whose n-th write into a folder fails, and every later one, as on a disk that is full by then."""
 
-from __future__ import annotations
-
 import mmap
 import os
 import shutil

@@ -9,8 +9,6 @@ and the next run begins with them. An input that is only slow is tried again by 
 other programs may have been at work.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import os

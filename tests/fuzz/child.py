@@ -3,8 +3,6 @@
 Options are libFuzzer's. How many times the target was run is written to the file that the environment names.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

@@ -3,8 +3,6 @@
 What guides a target is imported where its seeds are made, for only then are its branches watched.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import tempfile

@@ -1,7 +1,5 @@
 """What is fuzzed: each target reads some bytes as a stranger's, and may raise nothing but a typed error."""
 
-from __future__ import annotations
-
 import json
 import os
 import struct

@@ -1,7 +1,5 @@
 """Seeds, kept inputs and random changes of both through every target, for a second or two each."""
 
-from __future__ import annotations
-
 import random
 import resource
 import time

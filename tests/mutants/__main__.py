@@ -10,8 +10,6 @@ suite, and kept in build/mutants with every verdict: an interrupted run goes on 
 alone needs no such recording.
 """
 
-from __future__ import annotations
-
 import argparse
 import queue
 import shutil

@@ -1,7 +1,5 @@
 """What the mutation test covers, and the faults it draws."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which tests judge a fault: those that execute its line, the nearest and quickest first."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Mapping

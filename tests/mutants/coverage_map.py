@@ -1,7 +1,5 @@
 """Which tests execute which lines of the sources: made once by the whole quick suite, then read."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A fault that can be seeded into a source."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 

@@ -1,7 +1,5 @@
 """Runs tests against a fault that is seeded into a copy of the sources."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

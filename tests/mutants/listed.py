@@ -9,8 +9,6 @@ What is empty afterwards becomes `pass`. The fragment has to stand exactly once 
 constant that `within` names, or else in the module.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

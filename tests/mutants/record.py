@@ -1,7 +1,5 @@
 """What became of each fault, kept as it is judged: an interrupted run goes on where it stopped."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

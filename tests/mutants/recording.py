@@ -3,8 +3,6 @@
 It appends each test's result and time to the file that the environment names.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Generator

@@ -5,8 +5,6 @@ messages, what is logged, assertions, and constants of modules and floating-poin
 thresholds that the benchmarks judge.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from dataclasses import dataclass

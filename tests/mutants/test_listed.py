@@ -1,7 +1,5 @@
 """Listed faults are found once in the canonical form of a source, and noticed by the tests that they name."""
 
-from __future__ import annotations
-
 import ast
 import re
 

@@ -1,7 +1,5 @@
 """Faults are seeded where they should be, judged by the tests that execute them, and mended again."""
 
-from __future__ import annotations
-
 import ast
 from dataclasses import replace
 from pathlib import Path

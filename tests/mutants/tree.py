@@ -1,7 +1,5 @@
 """Copies of the sources."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

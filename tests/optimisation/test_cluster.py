@@ -1,7 +1,5 @@
 """Computers that measure together let nobody else in."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

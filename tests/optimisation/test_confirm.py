@@ -1,7 +1,5 @@
 """The gain of a plan and its uncertainty, from an evaluator with known results."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

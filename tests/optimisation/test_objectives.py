@@ -1,7 +1,5 @@
 """Objectives as plug-ins: one file adds one, and study files, limits and reports know it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

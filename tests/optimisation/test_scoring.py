@@ -1,7 +1,5 @@
 """Scores against exact references: planes, perfect clouds, and wrong fringe orders put in on purpose."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Scores that are predicted from bands of rows, beside whole measurements on the same simulated bench."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The search: spaces, limits, methods and journals, on formulas whose optimum is known."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Search methods as plug-ins: one file adds a method, and study files stay as they are."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """A whole search from study to plans and report, on a formula within the limits of a rig file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

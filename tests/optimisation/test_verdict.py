@@ -1,7 +1,5 @@
 """The verdict on a search, on rigs made of a formula, whose optimum and noise are known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast

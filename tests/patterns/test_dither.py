@@ -1,7 +1,5 @@
 """Patterns of few bits: what they keep of the light that is wanted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates

@@ -1,7 +1,5 @@
 """Patterns follow the conventions, on both lattices, at every bit depth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

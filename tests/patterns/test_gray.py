@@ -1,7 +1,5 @@
 """Gray code: words of neighbouring cells, orders of images, and limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A new kind of fringe set, and a new unwrapping method, need one class each, defined in this file."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

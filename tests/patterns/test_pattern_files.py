@@ -1,7 +1,5 @@
 """Pattern images from files: what a plan keeps of them, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

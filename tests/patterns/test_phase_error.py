@@ -1,7 +1,5 @@
 """Phase errors of a distorted sinusoid, against closed forms and against decoded fringes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reading plans: values, and refusal of invalid ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The response: parameters are recovered with a correct uncertainty, and invalid input is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

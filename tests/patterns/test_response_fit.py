@@ -1,7 +1,5 @@
 """Frames of uniform grey-level images: means, uncertainties and regions, on synthetic frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

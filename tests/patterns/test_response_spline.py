@@ -1,7 +1,5 @@
 """A response that is no power law: a spline is chosen by evidence, and tells its fringes' phase error."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the compiled decoder has to give: phase, coordinates and orders in plain NumPy."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

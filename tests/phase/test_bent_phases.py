@@ -1,7 +1,5 @@
 """A bent response at three steps: what the frames say of their phase error, and which pixels are kept."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

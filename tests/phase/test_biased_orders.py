@@ -1,7 +1,5 @@
 """Orders that an object's own light changes are not kept, though each such pixel looks perfect by itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

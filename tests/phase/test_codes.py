@@ -1,7 +1,5 @@
 """Codes of other kinds than fringes, against frames made by their formulas with blur and noise."""
 
-from __future__ import annotations
-
 import base64
 import zlib
 from collections.abc import Callable

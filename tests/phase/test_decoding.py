@@ -1,7 +1,5 @@
 """Decoding inverts encoding; noise, masks and refusals are as documented."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import tifffile

@@ -1,7 +1,5 @@
 """A picture that walks during a scan is measured, stated and named; vibration and flicker are no drift."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Coordinates beside edges of reflectivity: corrected where the frames tell the blur, and in σ otherwise."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Noise and common errors from the frames themselves: response, lamp, rounding, containers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

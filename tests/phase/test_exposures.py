@@ -1,7 +1,5 @@
 """Frames of several exposures, merged into frames that are decoded as those of one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

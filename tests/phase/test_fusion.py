@@ -1,7 +1,5 @@
 """The coordinate uses all images: its scatter reaches the Cramér-Rao bound, and its sigma says so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

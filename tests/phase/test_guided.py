@@ -1,7 +1,5 @@
 """Guided unwrapping: orders among the coordinates that the geometry allows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """σ holds for frames that something has changed between sensor and decoder."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One set of fringes: islands that neighbours unwrap, and orders that are known or said to be unknown."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One frame of fringes: its noise and what it leaves out are as stated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The risk of a wrong order that noise alone brings bounds how often it comes, and not much too widely."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

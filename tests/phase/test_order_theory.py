@@ -1,7 +1,5 @@
 """Wrong orders kept and right ones lost, beside the exact posterior of all orders."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import erfc

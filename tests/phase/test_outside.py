@@ -1,7 +1,5 @@
 """What is said of light from outside of the possible positions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Maps that another program decoded, written by NumPy, tifffile and SciPy, become the true points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

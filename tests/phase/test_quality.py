@@ -1,7 +1,5 @@
 """The formula of phase noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The compiled decoder agrees with the NumPy reference, for any plan, noise, depth and response."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

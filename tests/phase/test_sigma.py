@@ -1,7 +1,5 @@
 """True error over reported sigma, noise and common errors together: simulated recordings, decoded whole."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Synthetic wavelengths, the projector's edges, and the repair of fringe orders."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The probability of a wrong order is right, and pixels above the allowed one are masked, with the cause."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

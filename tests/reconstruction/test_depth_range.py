@@ -1,7 +1,5 @@
 """Intervals of projector coordinates are those of the epipolar segments; a guided plan measures with them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The filter against pixels that see two places by formula, and against surfaces that it must leave alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A plan's guided axis: what three images along y tell of the geometry and of the points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

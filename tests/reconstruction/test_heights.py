@@ -1,7 +1,5 @@
 """Heights over a reference plane, of frames by formula: stated geometry, plates, one set of fringes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a change of the rig costs, against points that were triangulated with the rig before and after it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fpplab.calibration.changes import changed_rigs

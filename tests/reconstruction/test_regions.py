@@ -1,7 +1,5 @@
 """Connected regions against SciPy's labels."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.sparse import coo_array

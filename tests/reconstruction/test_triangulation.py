@@ -1,7 +1,5 @@
 """Triangulation against analytic surfaces seen through two strongly distorted devices."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

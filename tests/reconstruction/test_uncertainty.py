@@ -1,7 +1,5 @@
 """Predicted uncertainties against the spread of simulated measurements: noise, calibration, and both."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Walk through the checks of a release: `python -m tests.release [NAME ...]`, or `make release`."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The checks of a release. Each gives a complaint, or nothing."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

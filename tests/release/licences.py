@@ -1,7 +1,5 @@
 """The licences of dependencies: as docs/licences.md tells them, and as the packages declare them."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from importlib import metadata

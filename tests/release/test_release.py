@@ -1,7 +1,5 @@
 """The checks of a release complain of what is wrong, and of nothing else."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Each finding has its picture, in the report of a scan and in the folder of a check."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures show what they are given: colours, marks, shading and ranges are read back from the PNG file."""
 
-from __future__ import annotations
-
 import io
 from types import SimpleNamespace
 from typing import Any

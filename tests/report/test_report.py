@@ -1,7 +1,5 @@
 """The page is one self-contained file, escaped, readable without images, with only the given sections."""
 
-from __future__ import annotations
-
 import base64
 import io
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Figures of a characterisation: epipolar distances, and the shape of the board."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Pages opened in a browser: nothing is fetched, the cloud is drawn and turned, phones, dark mode, print."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

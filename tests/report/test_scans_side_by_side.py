@@ -1,7 +1,5 @@
 """Several scans on one page: differences only where calibrations match, verdicts as recorded, names apart."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A bug report has what helps, says what it has, and no frames unless they are asked for."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is changed, put, left or taken in a session behind fpplab's back."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

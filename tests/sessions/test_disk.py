@@ -1,7 +1,5 @@
 """No space left, or no way to write: nothing half-written stays, and the operator is told."""
 
-from __future__ import annotations
-
 import errno
 import os
 import resource

@@ -1,7 +1,5 @@
 """Sessions of every version of the format are read, and brought to the present one when completed."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

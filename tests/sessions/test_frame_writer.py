@@ -1,7 +1,5 @@
 """Frames written beside their acquisition: in order, few at a time, and whatever happens to either."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """The depth of grey levels, by the levels that occur."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

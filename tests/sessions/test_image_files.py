@@ -1,7 +1,5 @@
 """Files of grey images that are what they seem, and others."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from pathlib import Path

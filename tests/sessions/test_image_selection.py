@@ -1,7 +1,5 @@
 """Which images are taken, and in which order."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Loose images that are not what was promised."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

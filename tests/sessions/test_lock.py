@@ -1,7 +1,5 @@
 """One process at a time writes into a session, and a lock dies with its process."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

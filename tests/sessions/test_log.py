@@ -1,7 +1,5 @@
 """The log of a session: versions, host, phases and their times, warnings, device traffic on request."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

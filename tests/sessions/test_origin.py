@@ -1,7 +1,5 @@
 """Sessions and calibrations record when, where and with which devices they were made."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

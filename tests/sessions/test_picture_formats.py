@@ -1,7 +1,5 @@
 """Each format that is read, written by another program or by its specification: the levels come back."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zipfile

@@ -1,7 +1,5 @@
 """Damaged sessions: all that is wrong is named, what is whole is kept, and nothing is deleted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

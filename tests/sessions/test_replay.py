@@ -1,7 +1,5 @@
 """A recording gives back what was recorded, and invents nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is printed of a session, a calibration and a cloud: one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

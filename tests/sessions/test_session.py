@@ -1,7 +1,5 @@
 """A session after a crash at any moment, and with anything in it damaged."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """What version 0.1.0 wrote is still read: plans, sessions, calibrations, and the backends of rig files."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

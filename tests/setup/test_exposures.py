@@ -1,7 +1,5 @@
 """Exposures chosen for a scene: what is foretold of them, and plans that are taken with them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Writing a rig file: what is chosen, what has to pass, and that nothing is written otherwise."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace

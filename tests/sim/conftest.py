@@ -1,7 +1,5 @@
 """Small worlds, and what the camera sees of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

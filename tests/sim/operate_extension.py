@@ -4,8 +4,6 @@ Arguments: the archive, the Python that has fpplab, the folder for results, a ri
 to do. Writes `told.json` with what was seen, and what differs from before once the extension is disabled.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile

@@ -3,8 +3,6 @@
 Of the product it uses the pinhole model alone. Everything is in the camera's frame, in mm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """An effect of the twin is one file: a copy of `sim` with one more file has it everywhere."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Blurred prints: the blur of an edge, and what is kept of earlier prints."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Tables of direct light on disk: reused, never wrong, and failures of the disk never stop a measurement."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import logging

@@ -1,7 +1,5 @@
 """The key of a table on disk depends on every number that light depends on, and on nothing else."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from typing import Any

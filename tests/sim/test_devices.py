@@ -1,7 +1,5 @@
 """The four devices over one world."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

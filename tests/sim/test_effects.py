@@ -1,7 +1,5 @@
 """Effects of the twin through its devices: vibration, shutters, colours, indirect light."""
 
-from __future__ import annotations
-
 import logging
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """The Blender extension: its archive, what it is told of a rig, and its operators at work in Blender."""
 
-from __future__ import annotations
-
 import importlib.util
 import io
 import json

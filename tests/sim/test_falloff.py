@@ -1,7 +1,5 @@
 """Falloff of the projector: light of every mirror, in all that is computed from it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

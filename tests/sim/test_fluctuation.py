@@ -1,7 +1,5 @@
 """Flicker and rolling bands of a world, in frames and in what predictions are made of."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The cache of fringe sets: each acquired once, shared between step counts, with reproducible noise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The response of the simulated projector is measured correctly and compensated in the patterns."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Lamps of the room: exact on planes and spheres, with shadows as a ray caster and Blender see them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Sample points on the lens for few samples of a pixel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Low-dimensional pattern sets, and the look-up, without Blender."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What surfaces are made of: Blender's pictures against the formulas of each material."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 from pkgutil import iter_modules

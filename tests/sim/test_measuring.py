@@ -1,7 +1,5 @@
 """Candidates measured on a small virtual bench, as a search does it."""
 
-from __future__ import annotations
-
 import math
 from contextlib import closing
 from pathlib import Path

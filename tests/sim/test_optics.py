@@ -1,7 +1,5 @@
 """Thin lenses of camera and projector, vignetting, mirrors and black level, against theory."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

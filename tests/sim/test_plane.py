@@ -1,7 +1,5 @@
 """Computed light on flat items: against Blender, against the ray caster, and which items are refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

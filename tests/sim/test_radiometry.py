@@ -1,7 +1,5 @@
 """The chain from lumens to electrons, against hand-computed light and a photon-transfer curve."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The twin against the analytic ray caster, and both lenses against OpenCV, from what is rendered."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

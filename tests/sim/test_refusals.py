@@ -1,7 +1,5 @@
 """Impossible worlds are refused before any picture, with field, value and what is allowed."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

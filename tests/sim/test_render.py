@@ -1,7 +1,5 @@
 """The picture that Blender makes, against the mathematics of camera, projector and light."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An interrupted scan of the twin, completed by another process, is the undisturbed one to the last bit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The sensor against photon transfer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

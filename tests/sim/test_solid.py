@@ -1,7 +1,5 @@
 """Traced light on matt bodies: against Blender at all samples, and which bodies are left to Blender."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

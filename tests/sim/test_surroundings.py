@@ -1,7 +1,5 @@
 """Surroundings and sheets of boards: exact against plain cards, hidden and shaded by items, and as files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

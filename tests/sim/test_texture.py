@@ -1,7 +1,5 @@
 """Mirrors as a texture."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

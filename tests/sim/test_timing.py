@@ -1,7 +1,5 @@
 """Rows of a camera under the binary planes of a projector, against numerical integrals over time."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

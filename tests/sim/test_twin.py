@@ -1,7 +1,5 @@
 """The twin as matching uses it: its initial parameters, changes of them, and the files it writes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

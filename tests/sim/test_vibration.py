@@ -1,7 +1,5 @@
 """Vibration along a line: how much, in which direction, and in step with the frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The small scene that the set-up compiles with is a whole measurement, and a right one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

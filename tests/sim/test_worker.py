@@ -1,7 +1,5 @@
 """The Blender process dies, hangs or is interrupted: no process and no shared memory is left."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

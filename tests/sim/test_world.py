@@ -1,7 +1,5 @@
 """The world file and what follows from it without rendering."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

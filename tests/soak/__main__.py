@@ -1,7 +1,5 @@
 """Scan again and again on the emulated bench, and plug its devices out and in: `python -m tests.soak`."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil

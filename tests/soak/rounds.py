@@ -1,7 +1,5 @@
 """One scan after the other on one open rig, and devices that are opened, unplugged and opened again."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Iterator

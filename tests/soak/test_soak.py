@@ -1,7 +1,5 @@
 """A short soak, and that growth is noticed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -3,8 +3,6 @@
 Without arguments the working tree is measured; with commits, each of them, side by side.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import subprocess

@@ -3,8 +3,6 @@
 `python -m tests.structure.sample --seed 1` prints places and signatures; with `--bodies` the whole functions.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import random

@@ -1,7 +1,5 @@
 """Imports go one way: the contracts hold, they refuse what they should, and no string goes round them."""
 
-from __future__ import annotations
-
 import ast
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Every listed fault finds its place in today's sources, so a change of code adapts the fault too."""
 
-from __future__ import annotations
-
 from tests.mutants.listed import canonical, listed
 from tests.support.commands import ROOT
 

@@ -1,7 +1,5 @@
 """A public name means one thing: no two modules define a class, function or type alias of the same name."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import defaultdict

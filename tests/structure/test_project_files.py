@@ -1,7 +1,5 @@
 """The files of the project that repeat what stands elsewhere agree with it."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import tomllib

@@ -1,7 +1,5 @@
 """What strangers read follows numpydoc: the public names, and the classes that drivers fill in."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from importlib import import_module
@@ -110,7 +108,7 @@ def test_a_public_class_and_its_members_are_described(cls: type) -> None:
 def test_a_hook_says_what_a_driver_gets_and_gives(hook: Callable[..., Any]) -> None:
     assert not errors(place(hook))
     # A hook without a body returns nothing yet, so numpydoc does not ask what it will return.
-    returns_a_value = inspect.signature(hook).return_annotation != "None"
+    returns_a_value = inspect.signature(hook).return_annotation not in (None, "None")
     assert bool(FunctionDoc(hook)["Returns"]) == returns_a_value
 
 

@@ -1,7 +1,5 @@
 """Each line of the page on what is trusted names a test, and there is that test."""
 
-from __future__ import annotations
-
 import re
 
 from tests.support.commands import ROOT

@@ -1,7 +1,5 @@
 """The wheel: what lands in site-packages, under which names, and that it runs with nothing else there."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import hashlib

@@ -1,7 +1,5 @@
 """Pictures of boards as a perfect camera would take them, with the truth beside them."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

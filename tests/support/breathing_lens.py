@@ -1,7 +1,5 @@
 """Poses of a board seen with a lens whose scale differs from pose to pose."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

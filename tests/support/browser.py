@@ -1,7 +1,5 @@
 """A headless Chromium, driven through its debugging pipe; it logs what it asks of the network."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """Certificates of a laboratory, made as the page on several computers says."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess

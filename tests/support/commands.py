@@ -1,7 +1,5 @@
 """Whole commands, run as a user runs them."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """A bench by formulas with one fault of a strength that a seed draws, lit by the plane twin."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

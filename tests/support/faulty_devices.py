@@ -1,7 +1,5 @@
 """Devices with a fault that a seed draws: the real drivers on emulators, and the bench by formulas."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The bench by formulas as devices, so that commands meet its faults as they meet a rig's."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

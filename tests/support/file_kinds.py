@@ -1,7 +1,5 @@
 """One file or folder of every kind: fpplab's own, those of other programs, damaged ones, and none at all."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import zipfile

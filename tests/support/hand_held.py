@@ -1,7 +1,5 @@
 """A rig by formulas whose board a hand holds about where it should, and now and then badly."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ Loading takes seconds, and the suite runs some thousand commands. A command that
 than the suite's own gets a process of its own, for modules may read the environment while they are loaded.
 """
 
-from __future__ import annotations
-
 import atexit
 import gc
 import importlib

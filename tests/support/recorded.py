@@ -1,7 +1,5 @@
 """A small session, and how to harm it."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Recordings of rerun read back, by entity and component; versions 0.23 and 0.41 read them differently."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A camera, a projector, and what they would see of a board with perfect detection."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

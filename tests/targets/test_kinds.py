@@ -1,7 +1,5 @@
 """Kinds of boards: a module in the package of kinds is all that a new kind needs."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

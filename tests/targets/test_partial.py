@@ -1,7 +1,5 @@
 """Part of a board: found with its own ids where that is certain, refused with the reason where not."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Brightness models of a board's points, their derivatives, and their fits beside SciPy's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Printed boards: measured on the page as written, by a reader of our own."""
 
-from __future__ import annotations
-
 import json
 import re
 import zlib

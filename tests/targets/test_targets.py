@@ -1,7 +1,5 @@
 """Boards: their points, their pictures, and finding them again."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

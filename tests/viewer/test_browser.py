@@ -1,7 +1,5 @@
 """What an operator sees in a browser, and what the browser reaches: pictures and logs of a real one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`--view` and `--keep-open` of whole commands, and what is left to be looked at afterwards."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

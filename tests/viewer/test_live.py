@@ -1,7 +1,5 @@
 """What the set-up sends to the viewer, read back from a recording."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The set-up as an operator has it: buttons and images of its page in a real browser."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

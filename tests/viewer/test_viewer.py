@@ -1,7 +1,5 @@
 """The data sent to the viewer, read back from a recording; and the viewer's server."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

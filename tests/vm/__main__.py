@@ -1,7 +1,5 @@
 """`python -m tests.vm [WORDS FOR PYTEST]`: drivers of USB devices through the kernel of a virtual machine."""
 
-from __future__ import annotations
-
 import sys
 import time
 

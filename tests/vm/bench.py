@@ -1,7 +1,5 @@
 """The reference rig with the LightCrafter's driver on the guest's USB: the camera is told what is shown."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

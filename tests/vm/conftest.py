@@ -1,7 +1,5 @@
 """These tests need the virtual machine's kernel: `make test-usb` runs them there."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Iterator

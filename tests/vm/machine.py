@@ -5,8 +5,6 @@ its virtual environment run there unchanged. QEMU emulates the processor, which 
 is needed comes as Debian packages, unpacked and not installed.
 """
 
-from __future__ import annotations
-
 import gzip
 import os
 import platform

@@ -3,8 +3,6 @@
 A thread would not do: hidapi holds Python's lock while the device is asked who it is.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping
 from multiprocessing.managers import BaseManager

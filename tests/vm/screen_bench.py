@@ -1,7 +1,5 @@
 """The three devices before one scene, the video camera of them on the guest's USB."""
 
-from __future__ import annotations
-
 from fpplab.core.conventions import Floats
 from tests.drivers.three_devices import ThreeDevicesBench
 from tests.vm.uvc_bench import plugged

@@ -1,7 +1,5 @@
 """The projector as the kernel, libusb and hidapi list it, and who may open it."""
 
-from __future__ import annotations
-
 import grp
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`fpplab emulate dlp4500` as an operator uses it: on USB, with a writable flash, reporting its state."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """A display projector, a camera behind the kernel's UVC driver and a stage measure a virtual scene."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

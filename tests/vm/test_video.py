@@ -1,7 +1,5 @@
 """Video cameras as the kernel offers them: its own test driver, and a USB camera behind its UVC driver."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

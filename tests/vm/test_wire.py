@@ -1,7 +1,5 @@
 """Commands and sequences through hidapi and the kernel, and their results when the connection fails."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import closing

@@ -5,8 +5,6 @@ what was lit when its exposure began; one for which the kernel has no room, or t
 frame because this process was held up, is lost.
 """
 
-from __future__ import annotations
-
 import errno
 import select
 import socket

@@ -1,7 +1,5 @@
 """The light of the reference bench on the sensor of the guest's USB camera."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ References
 USB Device Class Definition for Video Devices 1.1, chapters 3 and 4; its payload format for raw video.
 """
 
-from __future__ import annotations
-
 import struct
 
 VENDOR, PRODUCT, NAME = 0x1209, 0x0001, "fpplab test camera"

@@ -1,7 +1,5 @@
 """`decode` says whether to believe its maps, by the words and exit codes of a scan."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

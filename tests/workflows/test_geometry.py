@@ -1,7 +1,5 @@
 """When a scan's geometry counts as verified: by a board's age, and by what the rig's owner states."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sessions of one set of fringes: what `decode` and `reconstruct` write, and what they ask for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

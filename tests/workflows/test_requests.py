@@ -1,7 +1,5 @@
 """Workflows know no terminal, and take their requests without loading what measures."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Python and the command line give the same results and leave the same files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`fpplab artefact`: write the true shape of an artefact."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

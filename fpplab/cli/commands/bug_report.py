@@ -1,7 +1,5 @@
 """`fpplab bug-report`: what somebody else needs to see what went wrong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

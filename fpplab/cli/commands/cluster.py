@@ -1,7 +1,5 @@
 """`fpplab cluster`: a scheduler and workers, on one or several computers, that measure for searches."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

@@ -1,7 +1,5 @@
 """`fpplab decode`: projector coordinates of a session."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

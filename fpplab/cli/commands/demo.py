@@ -1,7 +1,5 @@
 """`fpplab demo`: a complete measurement on the virtual bench."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """`fpplab devices`: list what is connected."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 from fpplab.cli import console

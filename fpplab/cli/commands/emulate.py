@@ -1,7 +1,5 @@
 """`fpplab emulate`: device emulators, for training and tests."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from contextlib import suppress

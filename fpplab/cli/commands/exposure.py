@@ -1,7 +1,5 @@
 """`fpplab exposure`: which exposures suit a scene."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """`fpplab gamma`: fit the response of projector and camera."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import typer

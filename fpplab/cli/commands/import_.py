@@ -1,7 +1,5 @@
 """`fpplab import`: import image files as a session."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`fpplab plan`: look at a plan before it is measured, or guess one from images."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`fpplab reconstruct`: the cloud of a recorded session."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`fpplab report`: several scans on one page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """`fpplab scan`: from a plan to points."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,7 +1,5 @@
 """`fpplab session info|verify|repair`: what a session is, whether it is whole, and what can be kept of it."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """`fpplab target`: draw a board for printing."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated

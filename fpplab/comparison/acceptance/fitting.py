@@ -1,7 +1,5 @@
 """Fitting spheres and planes by geometric least squares, and discarding a permitted share of outliers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar

@@ -4,8 +4,6 @@ Points are selected by their camera rays alone: a rule that depended on their di
 leave out the very errors that the test measures.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -13,8 +13,6 @@ the fit and the span are those of all points. A quantity is passed when its erro
 within the maximum permissible error, reduced by the uncertainty of the standard itself (ISO 14253-1).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import TypeVar
 

@@ -1,7 +1,5 @@
 """Bayesian optimisation (optuna's tree-structured Parzen estimators), for objectives with local minima."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

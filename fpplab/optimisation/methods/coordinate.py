@@ -4,8 +4,6 @@ The two are: phase steps are exchanged between fringe sets; and all stripe count
 that the ratio from set to set, at which fringe orders begin to fail, grows equally everywhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from itertools import permutations
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """Gradient descent by finite differences, as in the paper, for comparison."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """NSGA-II (optuna) over all parameters together, seeded with the results of single-parameter searches."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Annotated, ClassVar, Literal
 

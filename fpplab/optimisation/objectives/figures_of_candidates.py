@@ -1,7 +1,5 @@
 """Objectives that are among the figures of every candidate."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

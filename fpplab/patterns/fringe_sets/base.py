@@ -8,8 +8,6 @@ docstrings). Plans, decoding and the proof of synchronisation take it through th
 `PeriodicSet` one that repeats itself. A `FringeSet` gives a phase by itself (`demodulation`).
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass

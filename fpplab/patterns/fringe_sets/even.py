@@ -1,7 +1,5 @@
 """Even light: white, black or grey images, which tell a pixel's brightest and darkest levels."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

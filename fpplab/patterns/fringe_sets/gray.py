@@ -1,7 +1,5 @@
 """Reflected Gray code: black and white stripes whose levels number the cells along an axis."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

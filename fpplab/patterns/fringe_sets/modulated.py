@@ -3,8 +3,6 @@
 Source: Chen, Seidel and Lensch, "Modulated phase-shifting for 3D scanning", 2008.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sinusoids with listed shifts: of any number, from one image up, and of any values."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Phase-shifted sinusoids with equal steps, the kind of a fringe set that names none."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Geometry-guided unwrapping: calibration and depth range say which coordinates a camera pixel may have."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from fpplab.patterns.unwrapping.base import (

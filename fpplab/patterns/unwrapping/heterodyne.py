@@ -1,7 +1,5 @@
 """Heterodyne (multi-wavelength) temporal unwrapping, by beats of neighbouring sets and beats of those."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Hierarchical (multi-frequency) temporal unwrapping: each set says which period of the next is meant."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Spatial unwrapping: neighbouring pixels say how the phase of a single set goes on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from fpplab.patterns.unwrapping.base import SyntheticWavelength, UnwrappingMethod

@@ -1,7 +1,5 @@
 """How a pose is asked for: by a transform from a robot, by text and a sketch from a person."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

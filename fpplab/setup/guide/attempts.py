@@ -1,7 +1,5 @@
 """What a guided characterisation records of each pose, and its result."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Loop of a guided characterisation: ask, take, observe, judge, accept or reject; until enough is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What is wrong with a pose while the board is still there: by its frames, and by its residuals."""
 
-from __future__ import annotations
-
 from fpplab.characterisation.guide import PoseFit
 from fpplab.diagnosis import Finding, diagnose_frames
 from fpplab.diagnosis.causes.camera_focus import CAMERA_FOCUS

@@ -1,7 +1,5 @@
 """Poses of a board taken during the set-up: what they cover, and which pose would help next."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

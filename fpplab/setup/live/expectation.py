@@ -1,7 +1,5 @@
 """What the geometry of a characterised rig and its present light promise for a plan at a working distance."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The operator's keys: single characters of a terminal, read while the set-up runs."""
 
-from __future__ import annotations
-
 import _thread
 import os
 import select

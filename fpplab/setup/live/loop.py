@@ -1,7 +1,5 @@
 """The loop of the set-up: show a pattern, take a frame, measure, obey; let other commands have the rig."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections import deque

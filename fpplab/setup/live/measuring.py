@@ -1,7 +1,5 @@
 """From the frames of a view to what is shown of them: light, focus, findings, expected noise."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

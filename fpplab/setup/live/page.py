@@ -4,8 +4,6 @@ Foreign pages in the same browser can neither read nor order anything: addresses
 requests must be for this very host and port, orders from the page itself.
 """
 
-from __future__ import annotations
-
 import json
 import secrets
 import threading

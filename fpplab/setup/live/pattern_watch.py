@@ -1,7 +1,5 @@
 """Single frames of any pattern, for an operator who sets up a rig."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace

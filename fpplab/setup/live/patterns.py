@@ -1,7 +1,5 @@
 """What the projector shows during the set-up: a short cycle of fringes for measuring, and still images."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum

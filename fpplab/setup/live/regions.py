@@ -1,7 +1,5 @@
 """Regions of the camera's image, over which the measures of the set-up are given."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the set-up shows, as a snapshot after each frame: for page, terminal, viewer and `--json`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

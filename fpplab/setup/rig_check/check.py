@@ -1,7 +1,5 @@
 """What is wrong with a rig: a marker shows how it is synchronised, and fringes what a scan's frames show."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress

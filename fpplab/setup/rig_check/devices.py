@@ -1,7 +1,5 @@
 """Checks other than of the frames' content: permissions, the camera's link, the disk, mains flicker."""
 
-from __future__ import annotations
-
 import math
 import re
 import time

@@ -1,7 +1,5 @@
 """How far a triggered exposure is shifted against its pattern: light of two patterns adds in its level."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

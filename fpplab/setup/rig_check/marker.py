@@ -1,7 +1,5 @@
 """The marker: uniform grey-level images, the only images that a check shows besides a plan's."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -4,8 +4,6 @@ Levels must rise with the grey levels shown, whatever the scene. Neighbours in t
 all levels or more, so that a frame of another image stands out.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from contextlib import closing

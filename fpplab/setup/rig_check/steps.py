@@ -1,7 +1,5 @@
 """A rig step by step, from its links to its focus, as on the first day."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing, suppress

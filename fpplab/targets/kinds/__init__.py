@@ -1,7 +1,5 @@
 """Kinds of boards: a module each, with one subclass of `BoardLayout`, named as target files name it."""
 
-from __future__ import annotations
-
 from fpplab.core.tagged_union import concrete_subclasses, import_members
 from fpplab.targets.layout import BoardLayout
 

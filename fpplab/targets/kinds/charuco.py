@@ -1,7 +1,5 @@
 """ChArUco boards: a checkerboard with a marker in each bright square, which identify the corners."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Checkerboards: alternating squares, whose inner corners are the points."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Grids of circles, whose centres are the points."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Reference marks: a marker with a circle at each corner; each mark is found by itself."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import ClassVar
 

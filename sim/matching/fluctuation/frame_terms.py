@@ -8,8 +8,6 @@ with the expected image E_n of the twin, its parts by the projector P_n and by t
 by a displacement of the board. Unlike a fit of the phase steps alone it also sees what is in step with these.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -9,8 +9,6 @@ along the rows r: light on the mains as a rolling shutter sees it. A, B and θ d
 that least squares over many thousands of them find the few numbers of a frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property

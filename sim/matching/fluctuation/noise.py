@@ -7,8 +7,6 @@ from frames of the bench and of the twin, and the twin's is scaled.
 Source: Janesick, Photon Transfer, 2007.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

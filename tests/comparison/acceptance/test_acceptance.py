@@ -1,7 +1,5 @@
 """The acceptance test gives what theory says of shapes, noise and form errors that are known."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

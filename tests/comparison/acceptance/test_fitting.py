@@ -1,7 +1,5 @@
 """Fits of spheres and planes: least squares, moving with their points, and what they leave out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """A bent response is found before the plan is judged, and taken out of phases and images."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Frames whose brightness a camera or a program changed are told from Gray code and wrong orders."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

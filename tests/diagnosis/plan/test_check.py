@@ -1,7 +1,5 @@
 """Mistakes in a plan are named, and right plans are left alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

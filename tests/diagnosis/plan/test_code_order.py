@@ -1,7 +1,5 @@
 """Images of codes in another order than the plan's are named; codes alone are never called good."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plans guessed from images alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Images that are turned or mirrored are told from steps that run the other way, where anything tells."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

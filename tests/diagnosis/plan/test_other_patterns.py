@@ -1,7 +1,5 @@
 """Images that are no sinusoids with equal steps are named, with their numbers; what decodes is left alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The LightCrafter's board apart from its sequences."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """`fpplab dlp4500 status|power|led|test-pattern` on an emulated projector."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The LightCrafter's driver on an emulated wire: what it shows, in what order it asks, what it refuses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

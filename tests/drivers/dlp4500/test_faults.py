@@ -1,7 +1,5 @@
 """Every fault at every command: the right error in time, a dark projector, and never a wrong success."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

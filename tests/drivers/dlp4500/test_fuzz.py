@@ -1,7 +1,5 @@
 """Random and mutated reports into the emulator and into the driver: no crash, no hang, no wrong success."""
 
-from __future__ import annotations
-
 import random
 from collections import Counter, deque
 

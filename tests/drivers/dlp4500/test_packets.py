@@ -1,7 +1,5 @@
 """Packets of the DLPC350: every row of its tables as bytes, and each command there and back."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import pytest

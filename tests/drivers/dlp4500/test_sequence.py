@@ -1,7 +1,5 @@
 """Planes, times and tables of pattern sequences."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Validation and start of the LightCrafter's sequences: warnings, ignored orders, late status."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

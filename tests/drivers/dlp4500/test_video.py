@@ -1,7 +1,5 @@
 """The LightCrafter's driver with patterns from the video port, on an emulated wire and display."""
 
-from __future__ import annotations
-
 import multiprocessing
 from collections.abc import Iterator
 from dataclasses import replace

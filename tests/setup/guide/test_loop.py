@@ -1,7 +1,5 @@
 """The loop of a guided characterisation on a rig by formulas, whose board a hand holds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

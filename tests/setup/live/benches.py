@@ -1,7 +1,5 @@
 """Small simulated rigs, without Blender, for tests of the set-up."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any

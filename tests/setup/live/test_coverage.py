@@ -1,7 +1,5 @@
 """Which pose would help next, by the poses so far."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 

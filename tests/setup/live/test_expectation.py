@@ -1,7 +1,5 @@
 """What the geometry promises: by hand for a simple rig, and beside what a scan then has."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

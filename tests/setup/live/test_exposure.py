@@ -1,7 +1,5 @@
 """The advised exposure: by arithmetic, and on benches, where one step leads to the right peak."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Focus: measures that neither noise nor exposure change, and whose best is at the true focus of the twin."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

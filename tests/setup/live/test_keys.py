@@ -1,7 +1,5 @@
 """Keys of a terminal become orders; the terminal is left as it was."""
 
-from __future__ import annotations
-
 import os
 import pty
 import sys

@@ -1,7 +1,5 @@
 """The loop: other commands get the rig within a frame, and the bench is left dark."""
 
-from __future__ import annotations
-
 import threading
 import time
 from pathlib import Path

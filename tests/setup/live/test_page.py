@@ -1,7 +1,5 @@
 """The page: operated over HTTP, refused to everybody else."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import re

@@ -1,7 +1,5 @@
 """The check of a rig names what is wrong with it, from the marker and a few fringes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

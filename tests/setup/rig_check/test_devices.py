@@ -1,7 +1,5 @@
 """Permissions, the camera's link, the disk and the mains, told by `check`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

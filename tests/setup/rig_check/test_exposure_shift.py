@@ -1,7 +1,5 @@
 """Shifts of triggered exposures, from levels mixed by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The marker of uniform grey-level images reveals every slip, for any response and ambient light."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """What a single step concludes from the frames that it has taken."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`fpplab dataset` as a user runs it: what it leaves, and what it refuses."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

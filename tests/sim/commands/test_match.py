@@ -1,7 +1,5 @@
 """`fpplab match` as a user runs it: a small hidden bench, and a nominal twin of it."""
 
-from __future__ import annotations
-
 import json
 from itertools import product
 from pathlib import Path

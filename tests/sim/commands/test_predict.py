@@ -1,7 +1,5 @@
 """`fpplab predict` and `fpplab compare-rigs` as a user runs them, on the virtual bench of `fpplab demo`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Data sets: labels against the ground truth, resumption after interruption, and the loader."""
 
-from __future__ import annotations
-
 import os
 import pickle
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Matching of a twin to a reference, both simulated by the plane twin, so that the truth is known."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A whole matching on the plane twin: from recorded sessions to a twin and its report."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What limits the parameters that a step of a matching fits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import cast

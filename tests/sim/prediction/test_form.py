@@ -1,7 +1,5 @@
 """What errors of a calibration do to distances, beside measurements that are triangulated with them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Predictions from a sample of rows, beside whole syntheses of the same simulated bench."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What changes from frame to frame on a bench, as a matching finds it where there is some."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

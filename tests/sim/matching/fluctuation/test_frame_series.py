@@ -1,7 +1,5 @@
 """Random changes and oscillations in series of known truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Speeds of parts that moved while they were scanned."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast

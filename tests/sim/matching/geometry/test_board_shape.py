@@ -1,7 +1,5 @@
 """The bend of the bench's board, and what its points tell of a geometry beside its images."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast

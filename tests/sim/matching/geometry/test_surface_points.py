@@ -1,7 +1,5 @@
 """Derivatives of what pixels see: against central differences of the places themselves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What is left between bench and twin, where the difference is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The projector's sharpness, told by the contrast of fine fringes on parts whose reflectance is not known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Steps of a fit of light between the bounds of its parameters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A lamp of the room as a matching finds it, where there is one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

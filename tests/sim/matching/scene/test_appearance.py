@@ -1,7 +1,5 @@
 """A bench's sheet and surroundings are found from recordings of its board, and proven in a pose left out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

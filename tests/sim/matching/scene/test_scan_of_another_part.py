@@ -1,7 +1,5 @@
 """A scan is fitted to the part that it is said to be of, and to no other one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Surfaces of parts: told from a scan, and what is then predicted for them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

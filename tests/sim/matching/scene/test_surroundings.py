@@ -1,7 +1,5 @@
 """Surfaces beside the board go on where no fringe tells their shape, and end before a backdrop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
