@@ -29,7 +29,7 @@ from fpplab.patterns.fringes import Pattern, quantise
 from sim.bench import VirtualBench
 from sim.build import is_lit_in_view
 from sim.light import ShownPattern
-from sim.sensor import SensorModel
+from sim.sensor import SensorModel, colour_shares
 from sim.world import BoardItem
 
 SERIAL = "simulated"
@@ -76,7 +76,8 @@ class SimCamera(Camera):
         camera = self._bench.world.camera
         sensor = camera.sensor
         ranges = tuple(sensor.bits), sensor.exposure_s, sensor.gain_db
-        return CameraCaps(camera.size, *ranges, ("software",), offset=(0, 0))
+        bayer = camera.bayer.pattern if camera.bayer else None
+        return CameraCaps(camera.size, *ranges, ("software",), offset=(0, 0), bayer=bayer)
 
     def _configure(self, settings: CameraSettings) -> CameraSettings:
         return settings
@@ -88,7 +89,8 @@ class SimCamera(Camera):
         # On the simulated clock a picture takes no longer than its exposure, however long Blender works.
         settings, world = self._configured("read"), self._bench.world
         number = self._bench.next_draw()
-        image = SensorModel.of(world).expose(self._bench.irradiance(settings, number), settings, number)
+        light = self._bench.irradiance(settings, number) * colour_shares(world, self._bench.setup.item)
+        image = SensorModel.of(world).expose(light, settings, number)
         index, self._index = self._index, self._index + 1
         self._clock_s += settings.exposure_s
         return Frame(image, index, settings, time.time(), self._clock_s)

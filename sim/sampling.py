@@ -17,7 +17,7 @@ from sim.items import item_poses, part_mesh
 from sim.light import Light, PatternLevels
 from sim.light.cache import ByteLimitedCache
 from sim.part_surface import PartSurface
-from sim.sensor import SensorModel
+from sim.sensor import SensorModel, colour_shares
 from sim.world import World
 from sim.world.materials.base import surface_of
 
@@ -83,6 +83,7 @@ class ImagePartSampler:
         still, *moved = self._pictures(frame_part, tuple(patterns))
         sensor, random = SensorModel.of(self._world), np.random.default_rng([self._world.seed, seed])
         taken, changes = [], Fluctuation.of(self._world, seed)
+        shares = colour_shares(self._world, item)[np.ix_(rows, frame_part.columns)]
         size_mm = self._world.moves_mm or 1.0
         for n in range(len(patterns)):
             picture, steps = still[n], displacement_mm(self._world, random, n, seed) / size_mm
@@ -91,7 +92,7 @@ class ImagePartSampler:
             frame = len(patterns) * seed + n
             if changes is not None:
                 picture = changes.applied(picture, self._ambient(frame_part), rows, frame)
-            taken.append(sensor.expose(np.maximum(picture, 0), settings, frame))
+            taken.append(sensor.expose(np.maximum(picture, 0) * shares, settings, frame))
         return taken
 
     def _ambient(self, frame_part: FramePart) -> PatternLevels:

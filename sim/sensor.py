@@ -12,8 +12,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Image, full_scale, raw_dtype
+from fpplab.core.conventions import Image, Map, full_scale, raw_dtype
 from fpplab.devices import CameraSettings
+from fpplab.patterns.mosaic import colour_factors
 from sim.radiometry import Led, gain_factor, lit_area_m2, photons_per_s
 from sim.scene import GreyScale
 from sim.world import Sensor, World
@@ -88,6 +89,25 @@ def white_photons_per_s(world: World) -> float:
     area = lit_area_m2(projector.size, (focal[0, 0], focal[1, 1]), projector.distance_mm)
     leds = [Led(projector.leds[n].lumens, projector.leds[n].wavelength_nm) for n in projector.lit]
     return photons_per_s(leds, area, camera.f_number, camera.transmission, camera.pixel_um)
+
+
+def colour_shares(world: World, item: str) -> Map:
+    """Share of an item's white light that each pixel gets, by the item's colour and the pixel's filter."""
+    # returns (height, width); the surroundings count as of the item's colour
+    lit = [world.projector.leds[name] for name in world.projector.lit]
+    photons = np.array([Led(led.lumens, led.wavelength_nm).watts * led.wavelength_nm for led in lit])
+    colours = [int(np.searchsorted(_BORDERS_NM, -led.wavelength_nm)) for led in lit]
+    light = np.bincount(colours, photons / photons.sum(), minlength=3)
+    if item in world.items and (colour := world.material_of(item).colour):
+        light = light * np.array(colour)
+    shape, seen = world.camera.size[::-1], world.camera.bayer
+    if seen is None:
+        return np.full(shape, light.sum(), np.float32)
+    red, green, blue = (float(light @ part) for part in (seen.red, seen.green, seen.blue))
+    return colour_factors(shape, seen.pattern, (red, green, blue))
+
+
+_BORDERS_NM = (-585.0, -490.0)  # between red, green and blue light, falling
 
 
 @numba.njit(cache=True)

@@ -81,6 +81,8 @@ BASLER_RAW: RawSettings = (
     (("CenterX",), False),
     (("CenterY",), False),
     (("TestImageSelector",), "Off"),
+    (("BalanceWhiteAuto",), "Off"),
+    (("LightSourcePreset", "BslLightSourcePreset", "LightSourceSelector"), "Off"),
 )
 """Basler's own features and the values at which frames are the sensor's."""
 

@@ -33,7 +33,7 @@ class BufferPool:
         # The array uses pylon's buffer while enough buffers remain for the transfer; otherwise, and for
         # packed formats, it is a copy.
         # returns (height, width)
-        if result.GetPixelType() == pylon.PixelType_Mono12p:
+        if pylon.IsPacked(result.GetPixelType()):
             packed = np.frombuffer(result.GetImageMemoryView(), np.uint8)
             return unpack12(packed, result.GetHeight(), result.GetWidth(), result.GetPaddingX())
         if len(self._lent) >= self.size - SPARE_BUFFERS:
@@ -55,7 +55,7 @@ class _Lease:
 def _view_buffer(result: Any) -> NDArray[Any]:
     """Return the buffer as an array (height, width), valid while the grab result exists."""
     height, width = result.GetHeight(), result.GetWidth()
-    dtype = np.dtype(np.uint8 if result.GetPixelType() == pylon.PixelType_Mono8 else np.uint16)
+    dtype = np.dtype(np.uint8 if pylon.BitPerPixel(result.GetPixelType()) == 8 else np.uint16)
     pitch = width * dtype.itemsize + result.GetPaddingX()
     memory = result.GetImageMemoryView()
     return np.ndarray((height, width), dtype, memory, strides=(pitch, dtype.itemsize))

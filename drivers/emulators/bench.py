@@ -123,7 +123,8 @@ class EmulatedBench:
             self.optics = OpticsRig(self.optics_rig)
             self._make_projector()
             self.shutter, self._exposures = EmulatedShutter(self.clock, self._options.sensor), 0
-            self.pylon = BenchPylon(self.optics.size, self.shutter, self._render, self._options.sensor)
+            bayer = self.optics_rig.camera.caps.bayer
+            self.pylon = BenchPylon(self.optics.size, self.shutter, self._render, self._options.sensor, bayer)
             self.pylon.start()
             stack.callback(self.pylon.close)
             self.terminal = self._make_stage(stack)

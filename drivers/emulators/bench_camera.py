@@ -22,6 +22,7 @@ from drivers.genicam.names import (
 from drivers.genicam.options import EDGES
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
+from fpplab.patterns.mosaic import Bayer
 
 MIN_SENSOR_SIZE = (1024, 1040)  # smallest sensor that pylon's emulator accepts, (width, height) in px
 LINE = "Line1"  # the camera's input to which the trigger cable leads
@@ -39,12 +40,14 @@ class BenchPylon(EmulatedPylon):
         shutter: EmulatedShutter,
         render: ImageSource,
         timing: SensorTiming = STRICT,
+        bayer: Bayer | None = None,
     ) -> None:
         sensor = (max(size[0], MIN_SENSOR_SIZE[0]), max(size[1], MIN_SENSOR_SIZE[1]))
         super().__init__(
             sensor,
             lambda settings: self.read_out(settings, shutter.expose_now(settings)),
             PylonPolicy(timing=timing),
+            bayer=bayer,
         )
         self.shutter, self._render = shutter, render
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ from drivers.genicam.features import Features
 from drivers.genicam.names import EXPOSURE_US, GAIN_DB, PIXEL_FORMAT, TRIGGER_MODE, TRIGGER_SOURCE, US_PER_S
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
+from fpplab.patterns.mosaic import Bayer
 
 CAMERA_COUNT_VARIABLE = "PYLON_CAMEMU"
 """Environment variable with the number of cameras that pylon emulates; read at every enumeration."""
@@ -59,8 +61,10 @@ class EmulatedPylon(Pylon):
         scene: SceneSource | None = None,
         policy: PylonPolicy = PylonPolicy(),
         cameras: int = 1,
+        bayer: Bayer | None = None,
     ) -> None:
         self.size, self.scene, self.policy, self._cameras = size, scene, policy, cameras
+        self.bayer = bayer
         self._open: dict[str, EmulatedCamera] = {}
         self._is_plugged = True
 
@@ -180,7 +184,7 @@ class EmulatedCamera:
         exposure_s = self.instant.GetNodeMap().GetNode(EXPOSURE_US[0]).GetValue() / US_PER_S
         if rate.IsWritable() and rate.GetValue() != timing.reported_rate_hz(exposure_s):
             rate.SetValue(timing.reported_rate_hz(exposure_s))
-        return self.instant.GetNodeMap()
+        return _NodeMap(self.instant.GetNodeMap(), self._emulator.bayer)
 
     def StartGrabbing(self, strategy: Any) -> None:
         """Arm the camera as pylon does; it is ready then."""
@@ -225,7 +229,7 @@ class EmulatedCamera:
             self.instant.TriggerSoftware.Execute()  # which pylon's emulator obeys with any trigger source
 
     def settings(self) -> CameraSettings:
-        bits = int(self._features.read(PIXEL_FORMAT).removeprefix("Mono"))
+        bits = int(re.sub(r"\D", "", self._features.read(PIXEL_FORMAT)))
         return CameraSettings(self._features.read(EXPOSURE_US) / US_PER_S, self._features.read(GAIN_DB), bits)
 
     def fail_frames(self, frames: int) -> None:
@@ -239,6 +243,38 @@ class EmulatedCamera:
 
     def set_exposure_duration(self, exposure_s: float) -> None:
         self.instant.ExposureTimeAbs.SetValue(exposure_s * US_PER_S)
+
+
+class _Delegate:
+    def __init__(self, real: Any) -> None:
+        self._real = real
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._real, name)
+
+
+class _NodeMap(_Delegate):
+    """pylon's node map, with the pixel formats of one sensor: its emulator has those of all."""
+
+    def __init__(self, real: Any, bayer: Bayer | None) -> None:
+        super().__init__(real)
+        self._bayer = bayer
+
+    def GetNode(self, name: str) -> Any:
+        node = self._real.GetNode(name)
+        return _PixelFormat(node, self._bayer) if name == PIXEL_FORMAT[0] else node
+
+
+class _PixelFormat(_Delegate):
+    def __init__(self, real: Any, bayer: Bayer | None) -> None:
+        super().__init__(real)
+        self._bayer = bayer
+
+    def GetSettableValues(self) -> tuple[str, ...]:
+        """List the raw formats, and those that a colour camera makes of several pixels."""
+        raw = f"Bayer{self._bayer[:2]}" if self._bayer else "Mono"
+        names = self._real.GetSettableValues()
+        return tuple(n for n in names if n.startswith((raw, "Mono8", *(("RGB8",) if self._bayer else ()))))
 
 
 class EmulatedSensorImage:

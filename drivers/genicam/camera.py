@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import ClassVar
+from typing import ClassVar, get_args
 
 from drivers.genicam import names as named
 from drivers.genicam.features import Features
@@ -20,6 +20,7 @@ from fpplab.core.errors import (
     StateError,
 )
 from fpplab.devices import Camera, CameraCaps, CameraSettings, Trigger
+from fpplab.patterns.mosaic import Bayer
 
 READY_TIMEOUT_S = 5.0  # longest wait in s for a camera that reports when it is ready for a trigger (chosen)
 
@@ -106,6 +107,9 @@ class GenicamCamera(Camera):
         for feature, value in self.RAW:
             if feature != named.GAMMA or features.read(named.GAMMA_ENABLE) is not False:
                 features.ensure(feature, value, "open")
+        for colour in features.choices(named.BALANCE_SELECTOR):
+            features.write_if_possible(named.BALANCE_SELECTOR, colour)
+            features.ensure(named.BALANCE_RATIO, 1.0, "open")
         for selector in self._features.choices(named.TRIGGER_SELECTOR):
             self._features.write_if_possible(named.TRIGGER_SELECTOR, selector)
             self._features.write_if_possible(named.TRIGGER_MODE, "Off")
@@ -142,6 +146,7 @@ class GenicamCamera(Camera):
             *self._row_times_s(),
             self._period_s(),
             (int(features.read(named.OFFSET_X) or 0), int(features.read(named.OFFSET_Y) or 0)),
+            self._bayer(),
         )
 
     def _period_s(self) -> float | None:
@@ -177,16 +182,26 @@ class GenicamCamera(Camera):
         return (0.0, readout_s) if resets else (readout_s, 0.0)
 
     def _formats(self, bits: int) -> list[str]:
-        available = self._features.choices(named.PIXEL_FORMAT)
-        return [name for name in self.FORMATS[bits] if name in available]
+        available, bayer = self._features.choices(named.PIXEL_FORMAT), self._bayer()
+        formats = (
+            name.replace("Mono", f"Bayer{bayer[:2]}") if bayer else name for name in self.FORMATS[bits]
+        )
+        return [name for name in formats if name in available]
+
+    def _bayer(self) -> Bayer | None:
+        """The filter's colours by the raw formats, beside which Mono8 is made of several pixels."""
+        formats = self._features.choices(named.PIXEL_FORMAT)
+        patterns = [p for p in get_args(Bayer) if any(f.startswith(f"Bayer{p[:2]}") for f in formats)]
+        return patterns[0] if patterns else None
 
     def _format(self, bits: int) -> str:
         formats = self._formats(bits)
         if not self._options.packed or bits != 12:
             return formats[0]
-        if PACKED not in formats:
+        packed = [name for name in formats if name.endswith("12p")]
+        if not packed:
             raise SettingError(self.name, "configure", "packed is true", f"this camera has no {PACKED}")
-        return PACKED
+        return packed[0]
 
     def _can_be_triggered(self) -> bool:
         """Whether it can be known when the camera is ready for its first trigger."""

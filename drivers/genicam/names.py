@@ -37,6 +37,8 @@ LINE_SELECTOR: FeatureNames = ("LineSelector",)
 LINE_MODE: FeatureNames = ("LineMode",)
 LINE_INVERTER: FeatureNames = ("LineInverter",)
 LINE_DEBOUNCER_US: FeatureNames = ("LineDebouncerTime", "LineDebouncerTimeAbs")
+BALANCE_SELECTOR: FeatureNames = ("BalanceRatioSelector",)
+BALANCE_RATIO: FeatureNames = ("BalanceRatio", "BalanceRatioAbs")
 GAMMA: FeatureNames = ("Gamma",)
 GAMMA_ENABLE: FeatureNames = ("GammaEnable",)
 

@@ -63,6 +63,6 @@ class GenicamOptions(Document):
     shutter: Literal["rolling", "global_reset", "global"] | None = None
     """Shutter mode to set; for a camera whose shutter cannot be switched, the one that it has."""
     packed: bool = False
-    """Whether 12-bit frames are transferred as Mono12p, three quarters of the data of Mono12."""
+    """Whether 12-bit frames are transferred packed, as Mono12p or BayerRG12p: three quarters of the data."""
     trigger: TriggerLine = TriggerLine()
     """Line that receives the hardware trigger."""

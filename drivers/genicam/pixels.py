@@ -3,6 +3,7 @@
 The names are those of GenICam's Pixel Format Naming Convention (PFNC).
 """
 
+import re
 from typing import Any
 
 import numba
@@ -18,7 +19,8 @@ PACKED = "Mono12p"
 
 def image_from(raw: NDArray[np.uint8], pixel_format: str, height: int, width: int, padding: int) -> Image:
     """Take the pixels out of the bytes of a frame, as a copy."""
-    # returns (height, width)
+    # returns (height, width); a Bayer filter's pixels lie as those of a camera without
+    pixel_format = re.sub("^Bayer(RG|GR|GB|BG)", "Mono", pixel_format)
     if pixel_format == PACKED:
         return unpack12(raw, height, width, padding)
     if pixel_format not in PIXELS:

@@ -97,7 +97,7 @@ class GentlCamera(GenicamCamera):
                 self.name,
                 "open",
                 f"its pixel formats are {formats}",
-                "a camera that delivers Mono8, Mono10, Mono12, Mono12p or Mono16 is needed",
+                "a camera that delivers Mono or Bayer pixels of 8 to 16 bits is needed",
             )
         return caps
 

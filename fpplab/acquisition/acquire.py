@@ -87,7 +87,9 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
         frames = [shot.image for shot in shots]
     if ends and not _ends_black_and_white([float(frame.mean()) for frame in frames]):
         raise SyncError(rig.camera.name, "capture", NO_END_MARKER, synchronisation_remedy(plan))
-    taken = Recording(frames[: plan.images], plan, caps.size, settings.bits, "frames")
+    taken = Recording(
+        frames[: plan.images], plan, caps.size, settings.bits, "frames", bayer=rig.camera.caps.bayer
+    )
     verdict = check_synchronisation(taken)
     if not verdict.in_step:
         raise SyncError(rig.camera.name, "capture", verdict.describe(), synchronisation_remedy(plan))

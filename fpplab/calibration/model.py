@@ -16,7 +16,7 @@ from fpplab.calibration.board import FittedBoard, FittedBoardFile, LocatedMarks,
 from fpplab.calibration.drawing import calibration_table, draw_from_above
 from fpplab.calibration.plausibility import explain_impossible
 from fpplab.core import config
-from fpplab.core.config import Document
+from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.file_kinds import naming_other_kinds
@@ -156,6 +156,8 @@ class Calibration:
         Why it was doubtful when it was made; None where nothing spoke against it.
     marks : LocatedMarks, optional
         Reference marks that show in later scans whether the rig has changed; None where there are none.
+    white : tuple of float, optional
+        Shares of red, green and blue that a Bayer camera sees of the board, which counts as white.
     """
 
     camera: Pinhole
@@ -167,6 +169,7 @@ class Calibration:
     origin: CalibrationOrigin | None = None
     doubt: str | None = None
     marks: LocatedMarks | None = None
+    white: tuple[float, float, float] | None = None
 
     def __repr__(self) -> str:
         sizes = ", ".join(
@@ -473,6 +476,8 @@ class CalibrationFile(Document):
     """Why the calibration was doubtful when it was made."""
     marks: LocatedMarksFile | None = None
     """Reference marks as they were seen at the time of the characterisation."""
+    white: tuple[Positive, Positive, Positive] | None = None
+    """Shares of red, green and blue that a Bayer camera sees of the board, by which points are coloured."""
     checksum: str | None = None
     """SHA-256 of all but the origin, as fpplab wrote it; to change a number, delete this line."""
 
@@ -497,6 +502,7 @@ class CalibrationFile(Document):
             origin=calibration.origin,
             doubt=calibration.doubt,
             marks=LocatedMarksFile.of(calibration.marks) if calibration.marks else None,
+            white=calibration.white,
         )
 
     def calibration(self) -> Calibration:
@@ -504,4 +510,5 @@ class CalibrationFile(Document):
         pose, board = self.T_projector_camera.transform(), self.board.board() if self.board else None
         devices = self.camera.model(), self.projector.model()
         rms_px, marks = dict(self.rms_px), self.marks.marks() if self.marks else None
-        return Calibration(*devices, pose, rms_px, uncertainty, board, self.origin, self.doubt, marks)
+        doubt, white = self.doubt, self.white
+        return Calibration(*devices, pose, rms_px, uncertainty, board, self.origin, doubt, marks, white)

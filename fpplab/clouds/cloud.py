@@ -47,6 +47,8 @@ class Cloud:
         Unit normals (N, 3) facing the camera, (0, 0, 0) where unknown.
     colour : ndarray of uint8, optional
         Grey levels (N,).
+    rgb : ndarray of uint8, optional
+        Red, green and blue (N, 3) of a camera that sees colours, in proportion to light.
     sigma_noise_mm : ndarray of float32, optional
         Standard uncertainty (N,) in mm from the noise of the fringes, along the ray, independent between
         points.
@@ -80,10 +82,16 @@ class Cloud:
     epipolar_px: CloudPoints | None = None
     sigma_phase_error_mm: CloudPoints | None = None
     origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rgb: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.points)
-        shapes: dict[str, tuple[int, ...]] = {"points": (n, 3), "pixels": (n, 2), "normals": (n, 3)}
+        shapes: dict[str, tuple[int, ...]] = {
+            "points": (n, 3),
+            "pixels": (n, 2),
+            "normals": (n, 3),
+            "rgb": (n, 3),
+        }
         shapes |= dict.fromkeys(("colour", *SIGMAS, "epipolar_px"), (n,))
         for name, shape in shapes.items():
             values = getattr(self, name)
@@ -222,7 +230,7 @@ class Cloud:
         Returns
         -------
         open3d.geometry.PointCloud
-            Points in mm, with normals and grey colours where they are known.
+            Points in mm, with normals and colours where they are known.
 
         Raises
         ------
@@ -236,8 +244,7 @@ class Cloud:
         if self.normals is not None:
             cloud.normals = utility.Vector3dVector(self.normals.astype(np.float64))
         if self.colour is not None:
-            grey = np.repeat(self.colour[:, None] / 255.0, 3, axis=1)
-            cloud.colors = utility.Vector3dVector(grey)
+            cloud.colors = utility.Vector3dVector(self.colours() / 255.0)
         return cloud
 
     def to_xarray(self) -> Any:
@@ -269,6 +276,19 @@ class Cloud:
             for name, (values, unit) in columns.items()
         }
         return xarray.Dataset(arranged, attrs={"frame": "camera: x right, y down, z forward"})
+
+    def colours(self) -> NDArray[np.uint8]:
+        """Give red, green and blue of the points, which are equal of a camera without colours.
+
+        Returns
+        -------
+        ndarray of uint8, (N, 3)
+            Black where nothing is known.
+        """
+        if self.rgb is not None:
+            return self.rgb
+        grey = np.zeros(len(self), np.uint8) if self.colour is None else self.colour
+        return np.repeat(grey[:, None], 3, axis=1)
 
     @property
     def coordinates(self) -> Floats | CloudPoints:

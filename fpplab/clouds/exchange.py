@@ -42,6 +42,8 @@ def point_columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
         columns |= dict(zip(("nx", "ny", "nz"), cloud.normals.T, strict=True))
     optional = {"grey": cloud.colour, "sigma_mm": cloud.sigma_mm, "epipolar_px": cloud.epipolar_px}
     optional |= {name: getattr(cloud, name) for name in SIGMAS}
+    if cloud.rgb is not None:
+        columns |= dict(zip(("red", "green", "blue"), cloud.rgb.T, strict=True))
     return columns | {name: values for name, values in optional.items() if values is not None}
 
 
@@ -75,7 +77,7 @@ def _write_e57(cloud: Cloud, path: Path) -> None:
     )
     if cloud.colour is not None:
         data["intensity"] = cloud.colour.astype(np.float32)
-        data |= {name: cloud.colour.copy() for name in ("colorRed", "colorGreen", "colorBlue")}
+        data |= dict(zip(("colorRed", "colorGreen", "colorBlue"), cloud.colours().T.copy(), strict=True))
     if cloud.pixels is not None and cloud.pixels.max() <= MAX_E57_PIXEL:
         data["columnIndex"], data["rowIndex"] = cloud.pixels.T.astype(np.uint16)
 
@@ -101,7 +103,7 @@ def _write_las(cloud: Cloud, path: Path) -> None:
     extra = {
         name: values
         for name, values in point_columns(cloud).items()
-        if name not in ("x_mm", "y_mm", "z_mm", "grey")
+        if name not in ("x_mm", "y_mm", "z_mm", "grey", "red", "green", "blue")
     }
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name=name, type=values.dtype) for name, values in extra.items()]
@@ -111,8 +113,9 @@ def _write_las(cloud: Cloud, path: Path) -> None:
     las.x, las.y, las.z = points.T
     las.return_number[:] = las.number_of_returns[:] = 1
     if cloud.colour is not None:
-        grey = cloud.colour.astype(np.uint16) * np.uint16(257)  # 16 bits: 255 becomes 65535
-        las.intensity = las.red = las.green = las.blue = grey
+        wide = np.uint16(257)  # 16 bits: 255 becomes 65535
+        las.intensity = cloud.colour.astype(np.uint16) * wide
+        las.red, las.green, las.blue = cloud.colours().T.astype(np.uint16) * wide
     for name, values in extra.items():
         las[name] = values
     content = io.BytesIO()

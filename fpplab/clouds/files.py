@@ -313,7 +313,7 @@ def _write_ply(cloud: Cloud, stream: BinaryIO) -> None:
         if values is not None:
             columns |= dict(zip(names, np.asarray(values).T, strict=True))
     if cloud.colour is not None:
-        columns |= dict.fromkeys(_RGB, cloud.colour)
+        columns |= dict(zip(_RGB, cloud.colours().T, strict=True))
     for name in (*SIGMAS, "sigma_mm"):
         if (sigma := getattr(cloud, name)) is not None:
             columns[name] = sigma
@@ -339,6 +339,7 @@ def _read_ply(path: Path) -> Cloud:
         "pixels": _columns(table, _PIXEL, np.int32) if size else None,
         "normals": _columns(table, _NORMAL, np.float32),
         "colour": _colour(table, path),
+        "rgb": _columns(table, _RGB, np.uint8) if _is_coloured(table) else None,
     }
     columns = {"epipolar_px": "epipolar", **{name: name for name in SIGMAS}}
     attributes |= {name: _columns(table, (column,), np.float32) for name, column in columns.items()}
@@ -352,6 +353,13 @@ def _columns(table: ply.VertexTable, names: tuple[str, ...], dtype: Any) -> NDAr
     if len(names) == 1:
         return np.asarray(table[names[0]], dtype)
     return np.asarray(np.stack([table[name] for name in names], axis=1), dtype)
+
+
+def _is_coloured(table: ply.VertexTable) -> bool:
+    if not set(_RGB) <= set(table.dtype.names or ()) or any(table.dtype[name] != np.uint8 for name in _RGB):
+        return False
+    red, green, blue = (table[name] for name in _RGB)
+    return bool((red != green).any() or (green != blue).any())
 
 
 def _colour(table: ply.VertexTable, path: Path) -> NDArray[np.uint8] | None:

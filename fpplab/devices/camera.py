@@ -9,6 +9,7 @@ from typing import Literal, final, get_args
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.core.errors import CapabilityError, FrameLossError, SettingError, StateError
 from fpplab.devices.device import Device, State
+from fpplab.patterns.mosaic import Bayer
 
 Trigger = Literal["software", "hardware"]
 
@@ -43,6 +44,8 @@ class CameraCaps:
     offset: tuple[int, int] | None = None
     """Column and row of the sensor where its frames begin, in px, since images of another region have another
     calibration; None where the camera does not report it."""
+    bayer: Bayer | None = None
+    """Colours of the filter on its pixels, of its frames' first two rows; None where all are alike."""
 
     def __post_init__(self) -> None:
         for name in ("size", "bits", "exposure_s", "gain_db", "triggers"):

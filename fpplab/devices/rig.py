@@ -285,6 +285,8 @@ class Rig:
                 "lattice": caps.lattice.value,
             },
         }
+        if (bayer := self.camera.caps.bayer) is not None:
+            resolved["camera"]["bayer"] = bayer
         if mounted is not None:
             resolved["mounted"] = {"item": mounted[0], "pose": mounted[1]}
         return {**config.plain(self.file), "resolved": resolved}

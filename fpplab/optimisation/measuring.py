@@ -120,7 +120,8 @@ class RigEvaluator:
         setup = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
         frames = self._frames.frames(setup, candidate.fringes, seed)
         size, bits = rig.projector.caps.size, self._problem.start.bits or rig.file.camera.bits
-        return decode(Recording(frames, plan, size, bits, f"measurement of the {name}"), bounds=bounds)
+        name, bayer = f"measurement of the {name}", rig.camera.caps.bayer
+        return decode(Recording(frames, plan, size, bits, name, bayer=bayer), bounds=bounds)
 
     def _true_shape(self, name: str, candidate: Candidate) -> TrueShape:
         space = self._problem.space

@@ -123,7 +123,8 @@ class SampledEvaluator:
             )
         ]
         size = part.calibration.projector.size
-        return Recording(frames, plan, size, settings.bits, f"a part of the {name}")
+        name, bayer = f"a part of the {name}", self._rig.camera.caps.bayer
+        return Recording(frames, plan, size, settings.bits, name, bayer=bayer)
 
     def _patterns_of(self, fringes: Fringes) -> tuple[Pattern, ...]:
         """Make the patterns of a set once: the simulation keeps what it computes by the patterns it got."""

@@ -18,6 +18,7 @@ from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.mosaic import Bayer, colours_at, mean_of, without_mosaic
 from fpplab.patterns.phase_error import relative_harmonics
 from fpplab.patterns.plan import Plan
 
@@ -81,6 +82,8 @@ class Recording:
         Points whose coordinate is known, from which spatial unwrapping takes the orders of their islands.
     merged : MergedLevels or None
         Where the frames are merged from several exposures; one frame for each image of the plan.
+    bayer : str or None
+        Colours of the camera's filter, such as "RGGB"; None of a camera without. Frames are not interpolated.
     """
 
     frames: Sequence[Image]
@@ -94,6 +97,7 @@ class Recording:
     lattice: Lattice = Lattice.SQUARE
     known: tuple[KnownCoordinate, ...] = ()
     merged: MergedLevels | None = None
+    bayer: Bayer | None = None
 
     def __repr__(self) -> str:
         height, width = self.frames[0].shape if self.frames else (0, 0)
@@ -116,9 +120,12 @@ class Recording:
         Returns
         -------
         ndarray, (height, width)
-            The same, or levels of the longest exposure where frames are merged from several.
+            The same, or levels of the longest exposure where frames are merged from several, and those of a
+            Bayer camera as if all pixels had the same colour.
         """
-        return levels if self.merged is None else np.asarray(levels / self.merged.scale, np.float32)
+        if self.merged is not None:
+            levels = np.asarray(levels / self.merged.scale, np.float32)
+        return levels if self.bayer is None else without_mosaic(levels)
 
     def part(self, chosen: tuple[slice, slice]) -> Recording:
         """Take some pixels of the image.
@@ -235,6 +242,9 @@ class Recording:
         """
         sets = range(len(self.plan.sets))
         frames = self._evenly_lit() if index is None else self.of_set(sets[index])
+        if self.bayer:
+            even = self.light(mean_of(frames, self.grey))
+            return np.asarray(np.rint(np.clip(even, 0.0, 255.0)), np.uint8)
         height, width = frames[0].shape
         mean, divisor = buffers.empty((height, width), np.uint8), np.float32(len(frames) / self.grey)
 
@@ -250,6 +260,33 @@ class Recording:
         with ThreadPoolExecutor() as threads:
             list(threads.map(average, range(0, height, _BAND)))
         return mean
+
+    def colours(self, pixels: NDArray[np.int32]) -> Floats | None:
+        """Give the colours that a Bayer camera sees, under white less black where the plan shows both.
+
+        Parameters
+        ----------
+        pixels : ndarray of int32, (N, 2)
+            As (u, v).
+
+        Returns
+        -------
+        ndarray of float64, (N, 3), or None
+            Red, green and blue in 8-bit grey levels of the camera; None of a camera without colours.
+        """
+        if self.bayer is None:
+            return None
+        steps = list(self.plan.steps())
+        even = [k for k, (index, _, _) in enumerate(steps) if self.plan.sets[index].coded_axis is None]
+        white = [k for k in even if self._is_white(*steps[k][:2])]
+        black = [k for k in even if k not in white]
+        frames = [self.frames[k] for k in white] or self._evenly_lit()
+        levels = mean_of(frames, self.grey)
+        if white and black:
+            levels = levels - mean_of([self.frames[k] for k in black], self.grey)
+        if self.merged:
+            levels = levels / self.merged.scale
+        return colours_at(levels, self.bayer, pixels)
 
     def _evenly_lit(self) -> Sequence[Image]:
         """Frames whose mean is the scene under even light: of fringes, of white, or of all codes."""

@@ -225,8 +225,7 @@ def _decode_unwrapped(
     _drop_doubtful_orders(maps, recording, sequences, errors, bounds)
     by_axis = {axis: maps.u if axis == "x" else maps.v for axis in plan.axes}
     coordinates = {axis: values.reshape(first.shape) for axis, values in by_axis.items()}
-    if recording.merged:
-        np.divide(maps.modulation, recording.merged.scale.ravel(), out=maps.modulation)
+    maps.modulation[:] = recording.light(maps.modulation.reshape(first.shape)).ravel()
     parts = (maps.modulation, maps.sigma, maps.phase_error)
     modulation, sigma, phase_error = (part.reshape(first.shape) for part in parts)
     blur_px2 = errors.sets[plan.finest_set(plan.axes[0])].blur_px2

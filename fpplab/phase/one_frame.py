@@ -66,7 +66,7 @@ def decode_single_frame(recording: Recording, bounds: DecodingBounds, progress: 
     """Find the projector coordinates of islands of one frame."""
     shown, rules, grey = single_frame(recording.plan), recording.plan.masks, recording.grey
     assert shown is not None
-    level = recording.frames[0].astype(np.float64) * grey
+    level = recording.light(recording.frames[0] * grey).astype(np.float64)
     usable = recording.frames[0] < saturation_of(recording)
     carrier = _carrier(level, shown.axis, recording.name)
     window_px = ONE_FRAME.window_periods / math.hypot(*carrier)

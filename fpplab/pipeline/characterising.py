@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import (
     Characterisation,
@@ -24,6 +26,7 @@ from fpplab.characterisation.observation import board_shift_px
 from fpplab.core import config
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress
+from fpplab.patterns.mosaic import shares_of
 from fpplab.phase import decode
 from fpplab.pipeline.checking import fault_in_step, plan_fault
 from fpplab.pipeline.marks import correct_by_marks
@@ -87,7 +90,19 @@ def characterise_sessions(
         limits=limits,
     )
     progress(1.0)
-    return replace(result, calibration=replace(result.calibration, origin=calibration_origin(sessions)))
+    origin, white = calibration_origin(sessions), _board_colours(sessions, observations)
+    return replace(result, calibration=replace(result.calibration, origin=origin, white=white))
+
+
+def _board_colours(
+    sessions: Sequence[Session], observations: Sequence[Observation]
+) -> tuple[float, float, float] | None:
+    """Colours of the first board, which is taken for white, at its points."""
+    by_name = {session.path.name: session for session in sessions}
+    first = observations[0]
+    pixels = np.rint(first.camera_px).astype(np.int32)
+    colours = by_name[first.name].recording(verify=False).colours(pixels)
+    return None if colours is None else shares_of(colours)
 
 
 def require_plan_fits(session: Session) -> None:

@@ -1,5 +1,9 @@
 """Points of a recording without uncertainty, or why there are none."""
 
+from dataclasses import replace
+
+import numpy as np
+
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.errors import ConfigError, DataError
@@ -36,9 +40,20 @@ def triangulate_recording(
     if not placed.valid.any():
         return decoded, diagnose_scan(recording, decoded, None, calibration, limits=limits)
     try:
-        return points_of(placed, calibration, plan, recording.mean_image())
+        decoded, cloud = points_of(placed, calibration, plan, recording.mean_image())
+        return decoded, _coloured(cloud, recording, calibration)
     except DataError:
         diagnosis = diagnose_scan(recording, decoded, None, calibration, limits=limits)
         if not diagnosis.findings:
             raise
         return decoded, diagnosis
+
+
+def _coloured(cloud: Cloud, recording: Recording, calibration: Calibration) -> Cloud:
+    """Add the part's colours where the camera sees any, beside those of the board where it is known."""
+    assert cloud.pixels is not None
+    colours = recording.colours(cloud.pixels)
+    if colours is None:
+        return cloud
+    levels = colours / (calibration.white or (1.0, 1.0, 1.0))
+    return replace(cloud, rgb=np.rint(np.clip(levels, 0.0, 255.0)).astype(np.uint8))

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from fpplab.core.conventions import Image, Lattice, raw_dtype
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, Say, ignore, no_progress
 from fpplab.devices import CameraSettings, Frame
+from fpplab.patterns.mosaic import Bayer
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.folder import need_space_for_frames
 from fpplab.sessions.grey_depth import StoredLevels, check_bits
@@ -35,14 +37,19 @@ def import_images(
     *,
     projector_size: tuple[int, int] | None = None,
     lattice: Lattice | None = None,
+    bayer: str | None = None,
     warn: Say = ignore,
     tell: Say = ignore,
 ) -> Session:
     # Every image is checked before the session is made.
     # projector_size (width, height) px
     check_bits(bits)
+    if bayer not in (None, *get_args(Bayer)):
+        raise ConfigError(f"--bayer is '{bayer}': must be one of {', '.join(get_args(Bayer))}")
     plan.refuse_exposures("an import")
-    rig = _projector_record(plan, projector_size, lattice)
+    rig = _projector_record(plan, projector_size, lattice, bayer is not None)
+    if bayer is not None and rig is not None:
+        rig["resolved"]["camera"] = {"bayer": bayer}
     images = _find_and_check_images(source, [each.images for each in plan.sets], bits, warn, tell)
 
     def fill(session: Session) -> None:
@@ -132,7 +139,9 @@ def _known_bits(bits: int | None, stated: dict[int, ImagePlace]) -> int | None:
     return bits if bits is not None else next(iter(stated), None)
 
 
-def _projector_record(plan: Plan, size: tuple[int, int] | None, lattice: Lattice | None) -> RigRecord:
+def _projector_record(
+    plan: Plan, size: tuple[int, int] | None, lattice: Lattice | None, always: bool
+) -> RigRecord:
     """What the session's record says of the projector, in the form of a rig; None where the plan says all."""
     if size is None and plan.projector_size is None:
         raise ConfigError(
@@ -150,6 +159,6 @@ def _projector_record(plan: Plan, size: tuple[int, int] | None, lattice: Lattice
             "in a diamond; say '--lattice diamond', or '--lattice square' where pixels of the patterns "
             "were not mirrors"
         )
-    if size == plan.projector_size and lattice in (None, Lattice.SQUARE):
+    if not always and size == plan.projector_size and lattice in (None, Lattice.SQUARE):
         return None
     return {"resolved": {"projector": {"size": list(size), "lattice": str(lattice or Lattice.SQUARE)}}}

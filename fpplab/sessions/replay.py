@@ -103,6 +103,7 @@ class ReplayCamera(Camera):
             gain_db=(first.gain_db, first.gain_db),
             triggers=("software",),
             offset=self._recording.camera_offset(),
+            bayer=self._recording.session.bayer,
         )
 
     def _configure(self, settings: CameraSettings) -> CameraSettings:

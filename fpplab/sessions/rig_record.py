@@ -3,13 +3,17 @@
 from pathlib import Path
 from typing import Any
 
+from pydantic import ConfigDict
+
 from fpplab.core import config
+from fpplab.core.config import Document
 from fpplab.core.conventions import Lattice
 from fpplab.core.depth import DepthRange, first_stated
 from fpplab.core.errors import DataError
 from fpplab.core.session_names import PLAN, RIG
 from fpplab.devices.rig import DepthSection
 from fpplab.patterns.curve import Curve
+from fpplab.patterns.mosaic import Bayer
 from fpplab.patterns.plan import Plan
 
 RigRecord = dict[str, Any] | None  # a rig as `Rig.described` gives it, or None for images from elsewhere
@@ -43,6 +47,17 @@ def recorded_projector(rig: RigRecord, plan: Plan, path: Path) -> tuple[tuple[in
             f"{path}: does not say how many pixels the projector had, and in which lattice; "
             "add 'projector_size' to the plan's fringes and import the images again"
         ) from error
+
+
+def recorded_bayer(rig: RigRecord, path: Path) -> Bayer | None:
+    camera = ((rig or {}).get("resolved") or {}).get("camera") or {}
+    return config.validate(camera, _RecordedCamera, f"{path / RIG}: camera").bayer
+
+
+class _RecordedCamera(Document):
+    model_config = ConfigDict(extra="ignore")
+
+    bayer: Bayer | None = None
 
 
 def recorded_response(rig: RigRecord, path: Path) -> Curve | None:

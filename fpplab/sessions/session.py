@@ -38,6 +38,7 @@ from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import JOURNAL, PLAN
 from fpplab.devices import Frame
 from fpplab.patterns.curve import Curve
+from fpplab.patterns.mosaic import Bayer
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.folder import (
@@ -64,6 +65,7 @@ from fpplab.sessions.rig_record import (
     RigRecord,
     check_same_rig,
     read_rig,
+    recorded_bayer,
     recorded_depth,
     recorded_projector,
     recorded_response,
@@ -516,7 +518,12 @@ class Session:
         self.plan.check_projector(size, self.path)
         frames = self.stack(verify, progress)
         known = self.response(), self.depth, self.is_imported, lattice
-        return Recording(frames, self.plan, size, self.bits, str(self.path), *known)
+        return Recording(frames, self.plan, size, self.bits, str(self.path), *known, bayer=self.bayer)
+
+    @property
+    def bayer(self) -> Bayer | None:
+        """Colours of the filter of the camera that took the frames; None of one without."""
+        return recorded_bayer(self._rig, self.path)
 
     def response(self) -> Curve | None:
         """Give the measured response of the rig that took the frames, where its file states one.

@@ -174,7 +174,10 @@ class MeasurementView(CommandView):
         self.canvas.layout(self.arrangement(shown))
 
     def cloud(self, cloud: Cloud) -> None:
-        if cloud.colour is not None:
+        if cloud.rgb is not None:
+            bright = max(float(np.percentile(cloud.rgb, 98)), 1.0)
+            colours = np.clip(cloud.rgb * (255.0 / bright), 0.0, 255.0).astype(np.uint8)
+        elif cloud.colour is not None:
             bright = max(float(np.percentile(cloud.colour, 98)), 1.0)
             colours = ColourScale("Grey level", "", "gray", 0.0, bright).colours_of(
                 cloud.colour.astype(np.float32)

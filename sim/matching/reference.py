@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fpplab.characterisation import Characterisation
 from fpplab.core.conventions import Image, Lattice, full_scale
+from fpplab.core.errors import ConfigError
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
@@ -54,6 +55,8 @@ class Reference:
     ) -> Reference:
         """Choose the sessions whose poses the characterisation used."""
         sessions[0].plan.refuse_exposures("matching")
+        if sessions[0].bayer:
+            raise ConfigError(f"{sessions[0].path}: matching takes a camera without a Bayer filter")
         by_name = {session.path.name: session for session in sessions}
         used = tuple(by_name[o.name] for o in characterisation.observations)
         return cls(used, target, characterisation, response)

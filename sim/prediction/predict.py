@@ -241,7 +241,9 @@ class _Sampled:
         ]
         projector, name = self.calibration.projector, f"the sample of the {self.item}"
         size, lattice = projector.size, projector.lattice
-        recording = Recording(frames, self.plan, size, several[0].bits, name, lattice=lattice)
+        recording = Recording(
+            frames, self.plan, size, several[0].bits, name, lattice=lattice, bayer=self.rig.camera.caps.bayer
+        )
         if self.plan.exposures_s:
             recording = merged_recording(recording, self.plan.exposures_s)
         decoded = self._placed(decode(recording, bounds=self._bounds_of_rows()))

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from fpplab.calibration.model import Distortion
 from fpplab.core.config import Document, Positive
 from fpplab.core.geometry import Pinhole
+from fpplab.patterns.mosaic import Bayer
 from sim.world.numbers import NotNegative, PixelSize, Share
 
 Binning = Literal[1, 2, 4, 8]  # pixels of the sensor along each side of a pixel of a frame
@@ -51,6 +52,22 @@ class ShutterSection(Document):
     """Delay of the exposure from one row of a frame to the next, in s; 0 for a global shutter."""
 
 
+ByLight = tuple[Share, Share, Share]  # of red, green and blue light
+
+
+class ColourFilter(Document):
+    """The filter of a camera that sees colours: every pixel of a frame sees one."""
+
+    pattern: Bayer
+    """Colours of the first two pixels of the first row, and of the second row: RGGB, GRBG, GBRG or BGGR."""
+    red: ByLight = (0.9, 0.1, 0.03)
+    """Share of red, green and blue light that red pixels get."""
+    green: ByLight = (0.1, 0.85, 0.2)
+    """Share of red, green and blue light that green pixels get."""
+    blue: ByLight = (0.03, 0.2, 0.8)
+    """Share of red, green and blue light that blue pixels get."""
+
+
 class CameraWorld(Document):
     """The simulated camera: sensor, shutter and lens."""
 
@@ -78,6 +95,8 @@ class CameraWorld(Document):
     """When the rows of a frame are exposed."""
     sensor: Sensor = Sensor()
     """How light becomes grey levels."""
+    bayer: ColourFilter | None = None
+    """Filter over the pixels; by default all see the same."""
 
     @model_validator(mode="after")
     def _binning_divides(self) -> CameraWorld:

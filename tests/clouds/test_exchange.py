@@ -2,6 +2,7 @@
 
 import csv
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
@@ -165,3 +166,24 @@ def test_where_nothing_can_be_written(suffix: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(DataError, match="cannot be written"):
         export_cloud(cloud(), tmp_path / "file" / f"part{suffix}")
+
+
+def test_colours_of_points_go_everywhere(tmp_path: Path) -> None:
+    rgb = np.random.default_rng(6).integers(0, 256, (len(cloud()), 3)).astype(np.uint8)
+    coloured = replace(cloud(), rgb=rgb)
+    for suffix in (".ply", ".npz", ".e57", ".las", ".csv"):
+        export_cloud(coloured, tmp_path / f"part{suffix}")
+    for suffix in (".ply", ".npz"):
+        np.testing.assert_array_equal(load_cloud(tmp_path / f"part{suffix}").rgb, rgb)
+    with pye57.E57(str(tmp_path / "part.e57")) as file:
+        data = file.read_scan_raw(0)
+    np.testing.assert_array_equal(data["colorBlue"], rgb[:, 2])
+    np.testing.assert_array_equal(data["intensity"], cloud().colour)
+    las = laspy.read(tmp_path / "part.las")
+    np.testing.assert_array_equal(las.green, 257 * rgb[:, 1].astype(np.uint16))
+    with (tmp_path / "part.csv").open() as table:
+        assert [int(row["red"]) for row in csv.DictReader(table)] == rgb[:, 0].tolist()
+    assert coloured.only(np.arange(len(rgb)) < 5).rgb is not None
+    grey = tmp_path / "grey.ply"
+    export_cloud(cloud(), grey)
+    assert load_cloud(grey).rgb is None

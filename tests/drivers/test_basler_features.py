@@ -483,3 +483,32 @@ def test_a_camera_that_states_its_speed_has_it_in_its_link(made: Make) -> None:
     slow = choice("BslUSBSpeedMode", "HighSpeed", "SuperSpeed")
     assert made(but(BslUSBSpeedMode=slow)).info().link.endswith("USB 2, 480 Mbit/s")
     assert "bit/s" not in made(NodeCamera(ACE)).info().link
+
+
+def test_a_camera_with_a_bayer_filter_gives_its_raw_pixels(made: Make) -> None:
+    """Mono8 of a colour camera is made of several pixels; white balance multiplies levels."""
+    end = but(
+        PixelFormat=choice("PixelFormat", "Mono8", "BayerRG8", "BayerRG12", "BayerRG12p", "RGB8"),
+        BalanceRatioSelector=choice("BalanceRatioSelector", "Red", "Green", "Blue"),
+        BalanceRatio=number("BalanceRatio", 1.7, 0.0, 8.0),
+        BalanceWhiteAuto=choice("BalanceWhiteAuto", "Continuous", "Off"),
+    )
+    camera = made(end)
+    assert (camera.caps.bayer, camera.caps.bits) == ("RGGB", (8, 12))
+    assert (value(end, "BalanceRatio"), value(end, "BalanceWhiteAuto")) == (1.0, "Off")
+    for bits, packed_pixels, expected in (
+        (8, False, "BayerRG8"),
+        (12, False, "BayerRG12"),
+        (12, True, "BayerRG12p"),
+    ):
+        made(end, packed=packed_pixels).configure(CameraSettings(0.01, bits=bits))
+        assert value(end, "PixelFormat") == expected
+
+
+def test_a_white_balance_that_stays_is_refused(made: Make) -> None:
+    end = but(
+        BalanceRatioSelector=choice("BalanceRatioSelector", "Red"),
+        BalanceRatio=number("BalanceRatio", 1.7, 1.5, 8.0),
+    )
+    with pytest.raises(SettingError, match=r"BalanceRatio is 1\.7 and cannot be set to 1"):
+        made(end)

@@ -294,3 +294,15 @@ def test_an_import_that_is_interrupted_leaves_what_it_would_replace(folder: Path
         bring(folder, force=True, progress=interrupt)
     assert Session.open(folder.parent / "session").records == before
     assert sorted(path.name for path in folder.parent.iterdir()) == ["images", "session"]
+
+
+def test_a_bayer_filter_is_recorded_with_the_projector(folder: Path) -> None:
+    session = bring(folder, bayer="GBRG")
+    assert (session.bayer, session.projector()) == ("GBRG", ((64, 48), Lattice.SQUARE))
+    assert session.recording().bayer == "GBRG"
+    assert bring(folder, force=True).bayer is None
+
+
+def test_an_unknown_filter_is_refused(folder: Path) -> None:
+    complaint = "--bayer is 'rggb': must be one of RGGB, GRBG, GBRG, BGGR"
+    refuses(folder, complaint, ConfigError, bayer="rggb")

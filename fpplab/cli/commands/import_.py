@@ -30,6 +30,12 @@ def import_command(
     places: ImagePlaces = None,
     frames: FrameNames = None,
     bits: ImageBits = None,
+    bayer: Annotated[
+        str | None,
+        option(
+            "--bayer", "Colours of the camera's filter, where images are raw frames: RGGB, GRBG, GBRG, BGGR."
+        ),
+    ] = None,
     first: FirstIndex = 0,
     first_step: FirstStep = None,
     skip: SkippedImages = None,
@@ -67,6 +73,7 @@ def import_command(
     if phase is not None or phase_y is not None:
         unused: dict[str, object] = {
             "--plan": plan, "PLACES": places, "--frames": frames, "--bits": bits, "--skip": skip,
+            "--bayer": bayer,
         }  # fmt: skip
         _import_maps(phase, phase_y, period, sigma, projector_size, out, force, json, unused)
         return
@@ -85,7 +92,8 @@ def import_command(
     with console.progress("Reading images") as report:
         session = import_images(
             source, Plan.load(plan), out, bits, force, report,
-            projector_size=projector_size, lattice=lattice, warn=warnings.append, tell=console.log_status,
+            projector_size=projector_size, lattice=lattice, bayer=bayer,
+            warn=warnings.append, tell=console.log_status,
         )  # fmt: skip
         warnings += pipeline.doubts_about_session(session)
     for warning in warnings:

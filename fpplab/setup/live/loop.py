@@ -179,7 +179,8 @@ class LiveSetUp:
     def _begin_view(self, view: View | None = None) -> None:
         self._view, self._turn_of_view = view or self._view, 0
         self._advice = None
-        self._measures.begin(self._patterns, self._view, self._rig.projector.caps.size)
+        caps, camera = self._rig.projector.caps, self._rig.camera.caps
+        self._measures.begin(self._patterns, self._view, caps.size, camera.bayer)
 
     def _obey_and_take_frame(self, turn: RigTurn) -> None:
         try:

@@ -13,6 +13,7 @@ from fpplab.core.conventions import Image, Mask, full_scale
 from fpplab.devices import Frame
 from fpplab.diagnosis import Finding, diagnose_frames
 from fpplab.diagnosis.sample import FrameSample
+from fpplab.patterns.mosaic import Bayer, without_mosaic
 from fpplab.patterns.recording import Recording
 from fpplab.setup.live.expectation import WorkingPoint
 from fpplab.setup.live.exposure import LightLevels, levels_of_fringes, levels_of_image
@@ -59,13 +60,17 @@ class LiveMeasures:
         self._view = View.MEASURE
         self._patterns: LivePatterns | None = None
         self._projector_size = (0, 0)
+        self._bayer: Bayer | None = None
         self._images: list[Image] = []
         self._brightest: Image | None = None
 
-    def begin(self, patterns: LivePatterns, view: View, projector_size: tuple[int, int]) -> None:
+    def begin(
+        self, patterns: LivePatterns, view: View, projector_size: tuple[int, int], bayer: Bayer | None = None
+    ) -> None:
         """Begin a view: earlier frames are of another light."""
         # projector_size (width, height) px
         self._patterns, self._view, self._projector_size = patterns, view, projector_size
+        self._bayer = bayer
         self._images, self._brightest = [], None
         self.levels, self.noise_um = None, None
         if view is not View.MEASURE:
@@ -101,7 +106,8 @@ class LiveMeasures:
         if len(self._images) < plan.images:
             return False
         images, self._images = self._images, []
-        self._update_measures(Recording(images, plan, self._projector_size, frame.settings.bits, "live"))
+        bits = frame.settings.bits
+        self._update_measures(Recording(images, plan, self._projector_size, bits, "live", bayer=self._bayer))
         return True
 
     def _update_measures(self, recording: Recording) -> None:
@@ -123,6 +129,8 @@ class LiveMeasures:
         self, first_image: NDArray[np.generic], second_image: NDArray[np.generic], full_scale: int
     ) -> None:
         shares = [image.astype(np.float32) / full_scale for image in (first_image, second_image)]
+        if self._bayer:
+            shares = [without_mosaic(share) for share in shares]
         self.camera_focus = self.camera_focus.after(camera_sharpness(*shares))
 
 

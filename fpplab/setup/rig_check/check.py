@@ -244,7 +244,8 @@ def _take_frames(rig: Rig, plan: Plan, progress: Progress) -> Recording:
         for shot in shots:
             frames.append(shot.image)
             progress(len(frames) / len(patterns))
-    return Recording(frames, plan, caps.size, settings.bits, "check", lattice=caps.lattice)
+    bayer = rig.camera.caps.bayer
+    return Recording(frames, plan, caps.size, settings.bits, "check", lattice=caps.lattice, bayer=bayer)
 
 
 def _decoded_alone(recording: Recording) -> Decoded | None:

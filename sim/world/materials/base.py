@@ -9,6 +9,7 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from sim.part_surface import PartSurface
 from sim.scene import Paint
+from sim.world.numbers import Share
 
 
 class Material(Document):
@@ -22,6 +23,8 @@ class Material(Document):
 
     kind: str
     """Name of the kind of material."""
+    colour: tuple[Share, Share, Share] | None = None
+    """Factors on its reflectance under red, green and blue light; by default it is grey."""
     sigma: dict[str, float] = Field(default_factory=dict)
     """Standard uncertainties of a surface that was matched to a scan, by field, in its unit."""
 
