@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -75,11 +76,18 @@ def _light(plan: Plan, coordinate: Floats) -> Floats:
 
 
 def _recorded(
-    sets: list[dict[str, Any]], ratio: float, seed: int, shape: tuple[int, int] = SHAPE
+    sets: list[dict[str, Any]],
+    ratio: float,
+    seed: int,
+    shape: tuple[int, int] = SHAPE,
+    *,
+    smooth: bool = False,
 ) -> tuple[Floats, Recording]:
     plan = config.validate({"fringes": sets}, Plan, "benchmark")
     random = np.random.default_rng(seed)
     coordinate = random.uniform(6, SIZE[0] - 7, shape)
+    if smooth:
+        coordinate = np.sort(coordinate, axis=1)
     levels = DARK + 2 * MODULATION * _light(plan, coordinate)
     levels += random.normal(0, MODULATION / ratio, levels.shape)
     full = 2**BITS - 1
@@ -142,9 +150,12 @@ def _orders() -> list[Result]:
 
 
 def _speed() -> Iterator[Result]:
-    """Time the decoder beside correlation with every coordinate of the grid in NumPy, in blocks."""
-    for name, sets in CODES.items():
-        coordinate, recording = _recorded(sets, RATIOS[1], 39_300, FULL_SHAPE)
+    """Time the decoder beside correlation with every coordinate of the grid in NumPy, in blocks.
+
+    Of random coordinates and of a smooth scene, in which a pixel is like the one before.
+    """
+    for (name, sets), smooth in product(CODES.items(), (False, True)):
+        coordinate, recording = _recorded(sets, RATIOS[1], 39_300, FULL_SHAPE, smooth=smooth)
         ends = (
             np.clip(coordinate + d, -0.5, SIZE[0] - 0.5).astype(np.float32) for d in (-REACH_PX, REACH_PX)
         )
@@ -154,7 +165,7 @@ def _speed() -> Iterator[Result]:
         limit = _seconds(partial(_correlate, recording))
         for label, bounds in (("", None), ("_guided", known)):
             seconds = _seconds(partial(decode_codes, recording, "x", used, bounds))
-            yield below(f"seconds_of_{name}{label}", seconds, "s", limit)
+            yield below(f"seconds_of_{name}{'_smooth' * smooth}{label}", seconds, "s", limit)
 
 
 def _seconds(run: Callable[[], object]) -> float:

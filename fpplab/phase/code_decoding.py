@@ -17,13 +17,13 @@ from fpplab.patterns.fringe_sets import PatternSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.phase.code_kernel import SearchLimits, search_codes
-from fpplab.phase.code_table import CodeTable, code_table, with_ranges
+from fpplab.phase.code_table import CodeTable, code_table, with_bounds
 from fpplab.phase.limits import CODES
 from fpplab.phase.noise import QUANTISATION, NoiseModel, fit_line, level_step, surprising_power
 
 _BLOCK = 30_000  # pixels that one thread decodes at a time (chosen: no power of 2, rows share no cache lines)
 _FIGURES = 9  # of each pixel, in the order of `search_codes`
-_OFFSET, _MISFIT, _LIKELIHOOD = 3, 4, 8
+_OFFSET, _MISFIT, _WIDTH = 3, 4, 8
 _Measure = Callable[[NDArray[np.float32]], float]
 
 
@@ -54,7 +54,7 @@ def decode_codes(
     frames = [frame.reshape(-1) for k in sets for frame in recording.of_set(k)]
     search, _ = _fitted_search(recording, axis, sets, frames)
     ends = None if bounds is None else (bounds.lower.ravel(), bounds.upper.ravel())
-    search = replace(search, table=with_ranges(search.table), bounds=ends)
+    search = replace(search, table=with_bounds(search.table), bounds=ends)
     figures = buffers.empty((_FIGURES, frames[0].size))
     starts = range(0, frames[0].size, _BLOCK)
 
@@ -67,7 +67,7 @@ def decode_codes(
             progress(done / len(starts))
     shape = recording.frames[0].shape
     u, variance, modulation, offset, misfit, gap, lower, upper = (
-        row.reshape(shape) for row in figures[:_LIKELIHOOD]
+        row.reshape(shape) for row in figures[:_WIDTH]
     )
     return CodedAxis(
         u, np.sqrt(variance), modulation, offset, misfit, gap, lower, upper, search.blur_px, search.noise
@@ -86,7 +86,7 @@ def sampled_likelihood(
     likelihoods = []
     for order in orders:
         figures = search.run([frames[k][sample] for k in order], sample)
-        likelihoods.append(float(np.nansum(figures[_LIKELIHOOD], dtype=np.float64)))
+        likelihoods.append(float(np.nansum(_likelihoods(figures, len(frames)), dtype=np.float64)))
     return np.array(likelihoods)
 
 
@@ -145,8 +145,9 @@ class _Search:
             CODES.hull_chi2,
             self.codes.certain_chi2,
             surprising_power(_freedom(images)),
-            self.codes.min_range,
         )
+        upper = np.where(np.ptp(levels, axis=0) >= self.codes.min_range, upper, lower)
+        levels -= np.mean(levels, axis=0, out=figures[_OFFSET])
         search_codes(levels, lower, upper, table, limits, table.memory(), figures)
         return figures
 
@@ -181,7 +182,8 @@ def _fitted(codes: _Codes, images: int, kind: str, sample: bytes) -> _Search:
         return best
     # First the noise that the best blur leaves, and with it the likelihood of each blur, which does not
     # prefer those whose codes can follow noise.
-    for measure in (_fit, _likelihood):
+    likelihood = lambda figures: float(np.nanmean(_likelihoods(figures, images)))  # noqa: E731
+    for measure in (_fit, likelihood):
 
         def tried(index: int, start: _Search = best, measure: _Measure = measure) -> tuple[float, _Search]:
             blur_px = CODES.blurs_px[index]
@@ -210,8 +212,11 @@ def _fit(figures: NDArray[np.float32]) -> float:
     return -float(np.nanmedian(figures[_MISFIT]))
 
 
-def _likelihood(figures: NDArray[np.float32]) -> float:
-    return float(np.nanmean(figures[_LIKELIHOOD]))
+def _likelihoods(figures: NDArray[np.float32], images: int) -> NDArray[np.float32]:
+    """Logarithm of the likelihood of the code at any coordinate."""
+    freedom = _freedom(images)
+    misfit = np.minimum(figures[_MISFIT], np.float32(surprising_power(freedom)))
+    return np.asarray(np.log(figures[_WIDTH]) - np.float32(0.5 * freedom) * misfit)
 
 
 def level_range(frames: Sequence[Image]) -> Image:

@@ -7,7 +7,7 @@ greatest correlation x·c. Offset and modulation cost two of the K images.
 Best code and runner-up are those of the whole grid, though most of it is not visited: angles between unit
 vectors obey the triangle inequality. A code lies within a known angle of its candidate's, so that the
 candidate's correlation bounds its own; and codes outside of the range about a code lie at least a known angle
-from it, so that none of them needs a visit where it fits well. The range of the pixel before is tried first.
+from it, so that none of them needs a visit where it fits well. What is near the pixel before is tried first.
 """
 
 from typing import Any, NamedTuple
@@ -20,8 +20,12 @@ from numba.extending import intrinsic
 
 from fpplab.phase.chunks import compiled_lean
 
-LANES = 32  # numbers that are worked on at a time (chosen: four vectors)
-_BESIDE = 4  # candidates beside a range that are searched with it (chosen: the next pixel's best is near)
+LANES = 64  # scores that are compared at a time (chosen: those beside a candidate, without a branch)
+_CODES = 32  # codes that are correlated at a time (chosen: two to four vectors)
+_NEAR = 16  # candidates to either side of that of the pixel before that are tried first (chosen)
+_EXACT = 8  # grid points to either side of the best one whose spread is bounded quickly (chosen)
+_BESIDE = 2  # neighbours of a candidate to either side (chosen: those that noise takes for it)
+_NARROW = 4.0 - 1.0 / 12.0  # variance in squares of grid points (derived: two, less that within a point)
 _ROUNDING = 2e-6  # of a correlation in float32, as a share of the levels' length (chosen)
 
 
@@ -33,7 +37,6 @@ class SearchLimits(NamedTuple):
     hull_chi2: float  # χ² up to which a coordinate is possible
     certain_chi2: float  # χ² beyond which a runner-up is not looked for
     surprising: float  # mean square that residuals hardly ever exceed by chance, in units of the variance
-    min_range: float  # least range of a pixel's levels
 
 
 @compiled_lean
@@ -42,21 +45,26 @@ def _whole(first: int, last: int) -> int:
     return first + (last - first + LANES - 1) // LANES * LANES
 
 
+def _everywhere(builder: Any, number: Any, size: int) -> Any:
+    """Vector of one number."""
+    nowhere = ir.Constant(ir.VectorType(number.type, size), ir.Undefined)
+    vector = builder.insert_element(nowhere, number, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), size), None)
+    return builder.shuffle_vector(vector, nowhere, zeros)
+
+
 @intrinsic
 def _correlate_block(_typing: Any, x: Any, codes: Any, scores: Any, images: Any, row: Any) -> Any:
-    """Correlate with `LANES` codes; addresses of levels, first code and first score, length of rows."""
+    """Correlate with `_CODES` codes; addresses of levels, first code and first score, length of rows."""
 
     # Written as vectors, because the compiler makes none of ranges that are short.
     def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        number, vector = ir.FloatType(), ir.VectorType(ir.FloatType(), LANES)
+        number, vector = ir.FloatType(), ir.VectorType(ir.FloatType(), _CODES)
         levels, first = (builder.inttoptr(each, number.as_pointer()) for each in arguments[:2])
         into = builder.inttoptr(arguments[2], vector.as_pointer())
         total = cgutils.alloca_once_value(builder, ir.Constant(vector, None))  # type: ignore[no-untyped-call]
-        nowhere, zeros = ir.Constant(vector, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)
         with cgutils.for_range(builder, arguments[3]) as image:
-            level = builder.load(builder.gep(levels, [image.index]))
-            level = builder.insert_element(nowhere, level, ir.Constant(ir.IntType(32), 0))
-            level = builder.shuffle_vector(level, nowhere, ir.Constant(zeros, None))
+            level = _everywhere(builder, builder.load(builder.gep(levels, [image.index])), _CODES)
             at = builder.gep(first, [builder.mul(image.index, arguments[4])])
             code = builder.load(builder.bitcast(at, vector.as_pointer()), align=4)
             product = builder.fmul(level, code, flags=("contract",))
@@ -72,31 +80,71 @@ def _correlate_block(_typing: Any, x: Any, codes: Any, scores: Any, images: Any,
 def _correlate(x: Any, codes: Any, first: int, last: int, scores: Any) -> None:
     """Correlate the levels of one pixel with a range of codes; 0 up to the end of the last vector."""
     size = codes.itemsize
-    for n in range(first, last, LANES):
+    for n in range(first, last, _CODES):
         code, score = codes.ctypes.data + n * size, scores.ctypes.data + n * size
         addresses = np.uintp(x.ctypes.data), np.uintp(code), np.uintp(score)
         _correlate_block(*addresses, len(x), codes.shape[1])  # type: ignore[call-arg]
     scores[last : _whole(first, last)] = np.float32(0)
 
 
+@intrinsic
+def _greatest_of(_typing: Any, scores: Any, blocks: Any) -> Any:
+    """Greatest of blocks of `LANES` scores at an address; 0 without a positive one."""
+
+    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        number, vector = ir.FloatType(), ir.VectorType(ir.FloatType(), LANES)
+        first = builder.inttoptr(arguments[0], vector.as_pointer())
+        most = cgutils.alloca_once_value(builder, ir.Constant(vector, None))  # type: ignore[no-untyped-call]
+        with cgutils.for_range(builder, arguments[1]) as block:
+            values, before = builder.load(builder.gep(first, [block.index]), align=4), builder.load(most)
+            builder.store(builder.select(builder.fcmp_ordered(">", values, before), values, before), most)
+        name, kind = f"llvm.vector.reduce.fmax.v{LANES}f32", ir.FunctionType(number, [vector])
+        reduce = cgutils.get_or_insert_function(builder.module, kind, name)  # type: ignore[no-untyped-call]
+        return builder.call(reduce, [builder.load(most)], fastmath=("nnan", "nsz"))
+
+    return types.float32(types.uintp, types.intp), generate
+
+
+@intrinsic
+def _span_of(_typing: Any, scores: Any, least: Any) -> Any:
+    """First and last of `LANES` scores at an address that are as great; `LANES` and -1 where none is."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        integer, vector = ir.IntType(64), ir.VectorType(ir.FloatType(), LANES)
+        values = builder.load(builder.inttoptr(arguments[0], vector.as_pointer()), align=4)
+        reached = builder.fcmp_ordered(">=", values, _everywhere(builder, arguments[1], LANES))
+        mask, no = builder.bitcast(reached, ir.IntType(LANES)), ir.Constant(ir.IntType(1), 0)
+        first, after = (builder.zext(count(mask, no), integer) for count in (builder.cttz, builder.ctlz))
+        last = builder.sub(ir.Constant(integer, LANES - 1), after)
+        return context.make_tuple(builder, signature.return_type, (first, last))
+
+    both = types.UniTuple(types.int64, 2)  # type: ignore[no-untyped-call]
+    return both(types.uintp, types.float32), generate
+
+
 @compiled_lean
 def _greatest(scores: Any, first: int, last: int) -> Any:
-    """Bits of the greatest score: those of positive numbers have the order of the numbers."""
-    # The compiler has vector instructions for maxima of integers alone; 0 without a positive score.
-    part, greatest = scores.view(np.int32)[first : _whole(first, last)], np.int32(0)
-    for n in range(len(part)):
-        greatest = max(greatest, part[n])
-    return greatest
+    """Greatest score of whole vectors; 0 without a positive one."""
+    address, blocks = scores.ctypes.data + first * scores.itemsize, (last - first + LANES - 1) // LANES
+    return _greatest_of(np.uintp(address), blocks)  # type: ignore[call-arg]
+
+
+@compiled_lean
+def _reaching(scores: Any, least: Any, first: int, last: int) -> tuple[int, int]:
+    """First and last index of the scores that are as great; the ends the other way round without any."""
+    # Whole vectors are read as they were written, which the processor need not wait for.
+    low, high = last, first - 1
+    for n in range(first, last, LANES):
+        address = np.uintp(scores.ctypes.data + n * scores.itemsize)
+        left, right = _span_of(address, least)  # type: ignore[call-arg, var-annotated]
+        low, high = min(low, n + left) if left < LANES else low, n + right if right >= 0 else high
+    return low, high
 
 
 @compiled_lean
 def _best(scores: Any, first: int, last: int) -> Any:
     """Index of the greatest score, of any where none is positive."""
-    part, bits = scores.view(np.int32)[first : _whole(first, last)], _greatest(scores, first, last)
-    index, none = np.int32(len(part)), np.int32(len(part))
-    for n in range(len(part)):
-        index = min(index, np.int32(n) if part[n] == bits else none)
-    return min(first + index, last - 1)
+    return min(_reaching(scores, _greatest(scores, first, last), first, last)[0], last - 1)
 
 
 @compiled_lean
@@ -192,7 +240,7 @@ def _runner_up(
     scores[spare] = _least_score(greatest, power, table)
     scores[lobe[0] : lobe[1]] = np.float32(0)
     for block in range(part[0], part[1], LANES):
-        if scores[spare] > 0.0 and _greatest(scores, block, block + LANES) < scores.view(np.int32)[spare]:
+        if scores[spare] > 0.0 and _greatest(scores, block, block + LANES) < scores[spare]:
             continue
         for r in range(block, min(block + LANES, part[1])):
             if scores[r] < scores[spare] or lobe[0] <= r < lobe[1]:
@@ -231,13 +279,10 @@ def _fitted(pixel: Any, part: Any, grid: Any, table: Any, limits: Any, work: Any
 @compiled_lean
 def _hull(values: Any, fit: Any, hull: float) -> tuple[int, int, float]:
     """First and last grid point that noise does not exclude, and the least value of such."""
-    low, high, at = fit[1], fit[2] - 1, fit[0]
+    at = fit[0]
     least = np.float32(np.sqrt(max(fit[6] - hull * fit[7], 0.0)) - fit[3]) + values[at]
-    while low < at and values[low] < least:
-        low += 1
-    while high > at and values[high] < least:
-        high -= 1
-    return low, high, least
+    low, high = _reaching(values, least, fit[1], fit[2])
+    return min(low, at), max(min(high, fit[2] - 1), at), least
 
 
 @compiled_lean
@@ -257,30 +302,25 @@ def _moments(values: Any, fit: Any, low: int, high: int, least: float) -> tuple[
 
 
 @compiled_lean
-def _levels_of(levels: Any, p: int, x: Any) -> Any:
-    """Copy the levels of one pixel without their mean; these, mean and sum of squares, and the range."""
-    mean, power, least, most = 0.0, 0.0, levels[0, p], levels[0, p]
-    for k in range(len(x)):
-        x[k] = levels[k, p]
-        mean += x[k]
-        least, most = min(least, x[k]), max(most, x[k])
-    mean /= len(x)
-    for k in range(len(x)):
-        x[k] -= np.float32(mean)
-        power += np.float64(x[k]) * x[k]
-    return (x, mean, power), most - least
+def _is_narrow(values: Any, fit: Any, low: int, high: int) -> bool:
+    """Whether a peak surely is too narrow for its likelihoods to count, which take exponentials."""
+    at, best, scale, spread = fit[0], np.float32(fit[3]), np.float32(0.5 / fit[7]), np.float32(0)
+    if low < at - _EXACT or high > at + _EXACT or not _EXACT <= at < len(values) - _EXACT:
+        return False
+    for n in range(-_EXACT, _EXACT + 1):
+        drop = values[at] - values[at + n]
+        lost = max(scale * drop * (best + best - drop), np.float32(0))
+        away = np.float32(n)
+        spread += away * away / (np.float32(1) + lost * (np.float32(1) + np.float32(0.5) * lost))
+    return bool(spread < _NARROW)
 
 
 @compiled_lean
-def measure_ranges(table: Any, memory: Any) -> None:
-    """Fill in the range about each candidate, and what correlation codes outside of it have at most."""
+def measure_beside(table: Any, memory: Any) -> None:
+    """Fill in what correlation each code has at most with one that is no neighbour of its candidate."""
     x, scores, work, count = memory[0], memory[1], memory[1:], len(table.middle)
     for own in range(count):
-        for k in range(len(x)):
-            x[k] = table.candidates[k, own]
-        _correlate(x, table.candidates, 0, count, scores)
-        lobe = _lobe(scores, own, 0, count)
-        table.low[own], table.high[own] = lobe
+        lobe = max(0, own - _BESIDE), min(count, own + _BESIDE + 1)
         for n in range(table.start[own], table.start[own + 1]):
             for k in range(len(x)):
                 x[k] = table.unit[k, n]
@@ -292,40 +332,60 @@ def measure_ranges(table: Any, memory: Any) -> None:
             square, _ = _runner_up(
                 pixel, 1.0, _square(least), (0, count), lobe, (0, len(table.scale)), table, work
             )
-            table.elsewhere[n] = np.sqrt(square)
+            table.beside[n] = np.sqrt(square)
 
 
 @compiled_lean
-def _nothing_elsewhere(
-    pixel: Any, fit: Any, first: int, last: int, part: Any, table: Any, limits: Any
-) -> Any:
-    """Whether no candidate from `first` to `last` outside of the range that was searched matters to a fit."""
-    at, power, c = fit[0], pixel[2], table.owner[fit[0]]
-    if max(first, table.low[c]) < part[0] or min(last, table.high[c]) > part[1]:
-        return False
+def _fitted_beside(pixel: Any, top: int, ends: Any, grid: Any, table: Any, limits: Any, work: Any) -> Any:
+    """Best grid point beside the best candidate; a correlation of 0 where another candidate may matter."""
+    x, mean, power = pixel
+    values, middle, nothing = work[1], table.middle, (0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    c = at = -1
+    for _ in range(2):
+        c = top if at < 0 else table.owner[at]
+        low, high = max(ends[0], c - _BESIDE), min(ends[1], c + _BESIDE + 1)
+        _correlate(x, table.unit, table.start[low], table.start[high], values)
+        # Where no valley is between the candidates, none of them is a runner-up.
+        for r in range(low, high - 1):
+            if (values[middle[r]] - values[middle[r + 1]]) * (r - top + 0.5) < 0.0:
+                return nothing
+        left, right = max(table.start[low], grid[0]), min(table.start[high], grid[1])
+        at = _best(values, left, right)
+        if table.owner[at] == c:
+            break
+    best = _exact(x, at, table)
+    if table.owner[at] != c or best <= 0.0:
+        return nothing
+    shift, square = _newton(x, at, best / table.scale[at], table)
+    peak = best * best + shift * shift * square
+    variance = _variance(power - peak, mean, len(x), limits)
     # The cosine of the difference of two angles, of which the first must be the greater one.
-    own, other = min(fit[3] / np.sqrt(power), 1.0), table.elsewhere[at] + _ROUNDING
+    own, other = min(best / np.sqrt(power), 1.0), table.beside[at] + _ROUNDING
     greatest = own * other + np.sqrt(max((1.0 - own * own) * (1.0 - other * other), 0.0))
-    return own > other and power * greatest * greatest < fit[6] - limits.certain_chi2 * fit[7]
+    if own <= other or power * greatest * greatest >= peak - limits.certain_chi2 * variance:
+        return nothing
+    return at, left, right, best, shift, square, peak, variance, limits.certain_chi2
 
 
 @compiled_lean
 def _best_fit(pixel: Any, near: int, grid: Any, table: Any, limits: Any, work: Any) -> Any:
-    """Search the range of a candidate, then that of the best one there, then all, until nothing is missed."""
+    """Try the candidates near one, then those near the best of every second one, then all."""
     first, last = table.owner[grid[0]], table.owner[grid[1] - 1] + 1
-    for _ in range(2):
-        part = max(first, table.low[near] - _BESIDE), min(last, table.high[near] + _BESIDE)
-        if not part[0] <= near < part[1]:
-            break
-        _correlate(pixel[0], table.candidates, part[0], part[1], work[0])
-        before, near = near, _best(work[0], part[0], part[1])
-        if work[0][near] > np.sqrt(pixel[2]) * table.elsewhere[table.middle[near]]:
-            fit = _fitted(pixel, part, grid, table, limits, work)
-            if fit[3] > 0.0 and _nothing_elsewhere(pixel, fit, first, last, part, table, limits):
-                return fit
-        if near == before:
-            break
-    _correlate(pixel[0], table.candidates, first, last, work[0])
+    x, scores = pixel[0], work[0]
+    for guess in range(2):
+        if guess:
+            ends = first // 2, (last + 1) // 2
+            _correlate(x, table.every_second, ends[0], ends[1], scores)
+            near = 2 * _best(scores, ends[0], ends[1])
+        part = max(first, near - _NEAR), min(last, near + _NEAR)
+        if part[0] < part[1]:
+            _correlate(x, table.candidates, part[0], part[1], scores)
+            c = _best(scores, part[0], part[1])
+            if scores[c] > np.sqrt(pixel[2]) * table.beside[table.middle[c]]:
+                fit = _fitted_beside(pixel, c, (first, last), grid, table, limits, work)
+                if fit[3] > 0.0:
+                    return fit
+    _correlate(x, table.candidates, first, last, scores)
     return _fitted(pixel, (first, last), grid, table, limits, work)
 
 
@@ -333,42 +393,45 @@ def _best_fit(pixel: Any, near: int, grid: Any, table: Any, limits: Any, work: A
 def search_codes(levels: Any, lower: Any, upper: Any, table: Any, limits: Any, memory: Any, out: Any) -> None:
     """Find the likeliest coordinate of P pixels.
 
-    levels (K, P) grey levels; lower, upper (P,) ends of the possible coordinates in px; out (9, P) becomes
-    coordinate, its variance, modulation, offset, misfit's χ², χ² by which the runner-up is worse (at
-    most the limit), the ends of the interval of coordinates whose χ² is within the hull's, and the
-    logarithm of the likelihood of the code at any coordinate.
+    levels (K, P) grey levels without their means, which are in out[3]; lower, upper (P,) ends of the possible
+    coordinates in px; out (9, P) becomes coordinate, its variance, modulation, offset, misfit's χ², χ² by
+    which the runner-up is worse (at most the limit), the ends of the interval of coordinates whose χ² is
+    within the hull's, and the width in px of the likelihood.
     """
     images, count, near = len(levels), len(table.scale), 0
     start, step, freedom = table.coordinate[0], table.coordinate[1] - table.coordinate[0], max(images - 3, 1)
     x, work = memory[0], memory[1:]
     for p in range(levels.shape[1]):
-        out[:, p] = np.nan
-        pixel, change = _levels_of(levels, p, x)
-        if change < limits.min_range or pixel[2] <= 0.0 or not lower[p] < upper[p]:
+        power = 0.0
+        for k in range(images):
+            x[k] = levels[k, p]
+            power += np.float64(x[k]) * x[k]
+        if power <= 0.0 or not lower[p] < upper[p]:
+            out[:, p] = np.nan
             continue
         grid = (
             max(np.int64(np.floor((lower[p] - start) / step)), 0),
             min(np.int64(np.ceil((upper[p] - start) / step)) + 1, count),
         )
+        pixel = x, np.float64(out[3, p]), power
         fit = _best_fit(pixel, near, grid, table, limits, work)
         at, _, _, best, shift, square, peak, variance, gap = fit
         if best <= 0.0:
+            out[:, p] = np.nan
             continue
         near = table.owner[at]
         low, high, least = _hull(work[1], fit, limits.hull_chi2)
         sharp = square > 0.0 and variance / square < step * step
         total, away, spread = 1.0, 0.0, 0.0
-        if not sharp or high - low > 3:  # fewer points cannot be spread enough
+        if not (sharp and _is_narrow(work[1], fit, low, high)):
             total, away, spread = _moments(work[1], fit, low, high, least)
-        if sharp and spread < 4.0 - 1.0 / 12.0:
+        if sharp and spread < _NARROW:
             out[0, p], out[1, p] = start + at * step + shift, variance / square
             volume = np.sqrt(2.0 * np.pi * variance / square)  # of a peak that the grid is too coarse for
         else:
             out[0, p], out[1, p] = start + (at + away) * step, (spread + 1.0 / 12.0) * step * step
             volume = total * step
-        mean, lost = pixel[1], max(pixel[2] - peak, 0.0)
-        expected = limits.constant + limits.per_level * mean
-        out[8, p] = np.log(volume) - 0.5 * min(lost / expected, limits.surprising * freedom)
-        out[2, p], out[3, p] = 0.5 * best / table.scale[at], mean
-        out[4, p], out[5, p] = lost / freedom / max(expected, 1e-9), gap
+        lost, expected = max(power - peak, 0.0), limits.constant + limits.per_level * pixel[1]
+        out[2, p], out[8, p] = 0.5 * best / table.scale[at], volume
+        out[4, p], out[5, p] = lost / (freedom * max(expected, 1e-9)), gap
         out[6, p], out[7, p] = start + low * step - 0.5 * step, start + high * step + 0.5 * step

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from fpplab.core.conventions import Axis, Floats, Lattice, axis_length
 from fpplab.patterns.fringe_sets import PatternSet
-from fpplab.phase.code_kernel import LANES, measure_ranges
+from fpplab.phase.code_kernel import LANES, measure_beside
 from fpplab.phase.limits import CODES
 
 GRID_PX = 0.125  # distance of the grid's coordinates (chosen: a sixteenth of the shortest period)
@@ -33,12 +33,11 @@ class CodeTable(NamedTuple):
     middle: NDArray[np.int64]  # (C,) index of the grid point in the middle of each candidate
     owner: NDArray[np.int64]  # (U,) candidate of each grid point
     candidates: NDArray[np.float32]  # (K, C), unit codes in the middle of each candidate
+    every_second: NDArray[np.float32]  # of the candidates
     cosine: float  # of the greatest angle between a code and that in the middle of its candidate
     sine: float
-    # Of `with_ranges`, without any ranges before it:
-    low: NDArray[np.int64]  # (C,) first candidate of the range about each down to the valleys of correlation
-    high: NDArray[np.int64]  # (C,) the one behind the last
-    elsewhere: Floats  # (U,) greatest correlation of each code with one outside of its candidate's range
+    # (U,) greatest correlation of each code with one beyond the neighbours of its candidate, of `with_bounds`
+    beside: Floats
 
     def memory(self) -> tuple[NDArray[np.float32], ...]:
         """Room for the levels of a pixel and for scores, which compiled functions work in."""
@@ -70,7 +69,6 @@ def code_table(
     owner = np.repeat(np.arange(len(middle)), np.diff(start))
     off = np.linalg.norm(unit - unit[middle[owner]], axis=1).max()
     f32 = np.float32
-    candidates = _padded(unit[middle])
     return CodeTable(
         coordinate=coordinate,
         length=length,
@@ -80,21 +78,18 @@ def code_table(
         start=start,
         middle=middle,
         owner=owner,
-        candidates=candidates,
+        candidates=_padded(unit[middle]),
+        every_second=_padded(unit[middle[::2]]),
         cosine=float(1.0 - 0.5 * off**2),
         sine=float(off * np.sqrt(1.0 - 0.25 * off**2)),
-        low=np.zeros_like(middle),
-        high=np.zeros_like(middle),
-        elsewhere=np.ones_like(coordinate),
+        beside=np.ones_like(coordinate),
     )
 
 
-def with_ranges(table: CodeTable) -> CodeTable:
-    """Add what lets a pixel's neighbour be searched first."""
-    table = table._replace(
-        low=np.empty_like(table.low), high=np.empty_like(table.high), elsewhere=np.empty_like(table.elsewhere)
-    )
-    measure_ranges(table, table.memory())
+def with_bounds(table: CodeTable) -> CodeTable:
+    """Add what shows at most pixels that only a few candidates matter."""
+    table = table._replace(beside=np.empty_like(table.beside))
+    measure_beside(table, table.memory())
     return table
 
 
