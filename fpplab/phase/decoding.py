@@ -40,6 +40,7 @@ from fpplab.phase.coded_axes import (
 )
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.demodulation import AxisPhases, axis_phases
+from fpplab.phase.disagreement import widened_by_disagreement
 from fpplab.phase.edges import correct_edges
 from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.guided_axis import around_prediction, joined
@@ -241,7 +242,7 @@ def _decode_unwrapped(
         coordinate = decoded.coordinate(sequence.axis)
         period = axis_length(size, sequence.axis) / plan.fringes[sequence.finest].stripes
         _drop(decoded, np.flatnonzero(isolated_pixels(coordinate, period)))
-    return decoded
+    return widened_by_disagreement(decoded, plan)
 
 
 def _allocate(pixels: int, plan: Plan) -> Maps:

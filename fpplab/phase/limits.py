@@ -440,6 +440,44 @@ class PlaneLimits(NamedTuple):
     to half a period its order is the nearest one."""
 
 
+class FinePlanLimits(NamedTuple):
+    """How a plan of fine fringes alone is chosen."""
+
+    min_period_px: float = 4.0
+    """Period of the finest fringes in projector px. Chosen: of 3 px, lens and mirrors leave a third."""
+    blur_px: float = 0.6
+    """Blur of fringes in focus, as a standard deviation in projector px. Measured: half a mirror of the lens,
+    and the camera's share."""
+    steps: tuple[int, int, int] = (6, 6, 12)
+    """Images of the sets, fewest stripes first. Chosen: the finest measures, the others tell orders."""
+    beat_share: float = 0.8
+    """What the depth range leaves possible, as a share of the period of the beat. Chosen: the rest is for
+    noise and for light that bends phases."""
+    max_beat_share: float = 0.125
+    """Greatest beat as a share of the finest stripes. Chosen: the second set stays as fine as the first."""
+    max_order_ratio: float = 40.0
+    """Greatest ratio of the finest stripes to the beat. Derived: noise of 0.01 rad in both sets is then a
+    tenth of a period."""
+    error_power: float = 1.5
+    """By which power of the period walls are bent. Derived: the share of a wall that is near the other one,
+    within some periods, grows with the period, and its error in mm as well; the root of their mean square."""
+    grid: int = 5  # rays of the camera along each side that are followed (chosen)
+    margin_px: float = 0.5  # that decoding adds to each end of what is possible
+
+
+class DisagreementLimits(NamedTuple):
+    """When the disagreement of fine sets widens the uncertainty."""
+
+    window_px: int = 9
+    """Side of the square whose pixels' disagreement is averaged. Chosen: chance then changes the mean by 6 %
+    with two degrees of freedom in each pixel."""
+    min_ratio: float = 1.3
+    """Least root mean square of the disagreement, in units of noise. Derived: five times that chance."""
+    max_stripes_ratio: float = 4.0
+    """Greatest ratio of the stripes of two sets. Chosen: what bends much wider fringes says little of the
+    finest."""
+
+
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
@@ -455,3 +493,5 @@ CODES = CodeLimits()
 ISLANDS = IslandLimits()
 ONE_FRAME = OneFrameLimits()
 PLANE = PlaneLimits()
+FINE_PLAN = FinePlanLimits()
+DISAGREEMENT = DisagreementLimits()

@@ -1,4 +1,4 @@
-"""`fpplab plan show` on the reference rig, whose limits are known."""
+"""`fpplab plan show` on the reference rig, whose limits are known, and `fpplab plan fine`."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,12 +8,14 @@ import pytest
 from PIL import Image
 
 from fpplab.calibration.model import Calibration
+from fpplab.core.config import find_config
 from fpplab.core.errors import CapabilityError, ConfigError, FppError, SettingError
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.setup.plan_precision import plan_precision
 from fpplab.setup.plan_preview import preview_plan
+from sim.world import World
 from tests.conformance.reference import EXPOSURE_TICK_S, READOUT_S, ReferenceCamera, ReferenceProjector
 from tests.support.commands import Command
 
@@ -129,3 +131,25 @@ def test_noise_is_told_as_depth_where_a_calibration_is_given() -> None:
     point = np.array([[0.0, 0.0, fine.depth_mm], [0.0, 0.0, fine.depth_mm + 1.0]])
     near, far = known.projector.project(point, known.T_projector_camera)
     assert fine.sigma_um == pytest.approx(1e3 * fine.sigma_px["x"] / abs(far - near)[0], rel=0.1)
+
+
+def test_a_plan_of_fine_fringes_is_written(fpplab: Command, tmp_path: Path) -> None:
+    known = tmp_path / "calibration.yaml"
+    demo_calibration().save(known)
+    words = ("plan", "fine", "--calibration", known, "--out", tmp_path / "fine.yaml", "--json")
+    done = fpplab(*words, "--depth", 425, 475)
+    assert done.code == 0, done.err
+    written = Plan.load(tmp_path / "fine.yaml")
+    assert written.fringes == Plan.load("plan_interreflections").fringes
+    assert (done.json["images"], written.depth_mm) == (24, (425.0, 475.0))
+    again = fpplab(*words, "--depth", 425, 475)
+    assert (again.code, "--force" in again.json["error"]) == (2, True)
+    wide = fpplab(*words, "--force", "--depth", 200, 900)
+    assert (wide.code, "mm at most" in wide.json["error"]) == (2, True)
+    turned = fpplab(*words, "--force", "--depth", 475, 425)
+    assert (turned.code, "--depth" in turned.json["error"]) == (2, True)
+
+
+def demo_calibration() -> Calibration:
+    world = World.load(find_config("world_demo", "world"))
+    return Calibration(world.camera_model(), world.projector_model(), world.T_projector_camera(), {})

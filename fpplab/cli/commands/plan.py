@@ -1,4 +1,4 @@
-"""`fpplab plan`: look at a plan before it is measured, or guess one from images."""
+"""`fpplab plan`: look at a plan before it is measured, write one of fine fringes, or guess one."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -9,6 +9,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import (
     PREPARE,
+    CalibrationOption,
     Commands,
     FirstIndex,
     FirstStep,
@@ -24,9 +25,12 @@ from fpplab.cli.app import (
 )
 from fpplab.cli.completion import names_of, option
 from fpplab.core.errors import DataError
+from fpplab.phase.limits import FINE_PLAN
 
 plan_app = typer.Typer(
-    cls=Commands, help="Look at a plan before it is measured, or guess one.", no_args_is_help=True
+    cls=Commands,
+    help="Look at a plan before it is measured, write one of fine fringes, or guess one.",
+    no_args_is_help=True,
 )
 app.add_typer(plan_app, name="plan", rich_help_panel=PREPARE)
 
@@ -82,6 +86,47 @@ def show_command(
     result = asdict(preview)
     precision = result.pop("precision") or {}
     console.print_result(result | precision, json)
+
+
+@plan_app.command("fine")
+def fine_command(
+    calibration: CalibrationOption,
+    depth: Annotated[
+        tuple[float, float],
+        option(
+            "--depth",
+            "Distances from the camera in mm between which the object lies.",
+            metavar="NEAR FAR",
+        ),
+    ],
+    out: Out,
+    blur: Annotated[
+        float,
+        option("--blur", "Of the fringes, as a standard deviation in projector px.", min=0, max=20),
+    ] = FINE_PLAN.blur_px,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a plan of fine fringes alone, for parts whose faces light each other.
+
+    Light that comes by way of another face is even over fine fringes, and bends their phase only where faces
+    meet. Calibration and depth range tell the fringe orders; the narrower the range, the surer they are.
+
+    Example: `fpplab plan fine --calibration calibration.yaml --depth 425 475 --out fine.yaml`
+    """
+    from fpplab.calibration.model import Calibration
+    from fpplab.core.config import dump
+    from fpplab.core.files import need_suffix, refuse_existing, write_text
+    from fpplab.phase.fine_plan import fine_plan
+    from fpplab.pipeline.depth import given_depth
+
+    need_suffix(out, ".yaml", ".yml")
+    refuse_existing(out, force)
+    given_depth(depth)
+    plan = fine_plan(Calibration.load(calibration), depth, blur)
+    write_text(out, f"# Fine fringes alone, for faces that light each other.\n{dump(plan)}")
+    sets = [{"axis": s.axis, "stripes": s.stripes, "images": s.images} for s in plan.fringes]
+    console.print_result({"fringes": sets, "images": plan.images, "plan": str(out)}, json)
 
 
 @plan_app.command("guess")

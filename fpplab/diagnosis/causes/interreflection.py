@@ -10,12 +10,16 @@ from scipy.ndimage import uniform_filter
 from fpplab.calibration.model import Calibration
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Axis, Floats, Mask
+from fpplab.core.errors import ConfigError
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import harmonics_of_power_law_rad, phase_deviations
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 from fpplab.diagnosis.points import DirectionLimits, changes_along_image
 from fpplab.diagnosis.sample import MEDIAN, FrameSample
+from fpplab.phase.fine_plan import error_ratio, fine_plan
+
+COAT = "coat or turn the part so that its faces do not light each other, or cover what stands next to it"
 
 
 class InterreflectionLimits(LimitsSection):
@@ -34,6 +38,10 @@ class InterreflectionLimits(LimitsSection):
     """Such blocks. Chosen."""
     min_backward_sigmas: Positive = 3.0
     """Standard uncertainties by which the change in a block is below zero. Chosen."""
+    depth_margin_mm: Positive = 5.0
+    """What is added to the depths of the points for another plan. Chosen: errors of theirs are smaller."""
+    min_gain: Positive = 2.0
+    """How many times smaller another plan makes the error for it to be offered. Chosen."""
     useless_mirrored_share: Positive = 0.3
     """Share that runs backwards above which points are useless. Chosen: a third stands where nothing is."""
     useless_phase_error: Positive = 13.0
@@ -97,8 +105,32 @@ def _find_mirrors(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[F
     worst = max(candidates, key=lambda finding: finding.excess)
     error = max((_phase_error(sample, axis, where) for axis, (where, _) in backward.items()), default=0.0)
     ruins = share >= limits.useless_mirrored_share or error >= limits.useless_phase_error
+    advice = COAT if share > limits.max_mirrored_share else offer(evidence)
     more = f"; it makes errors some {error:.0f} times those of noise" if np.isfinite(error) and ruins else ""
-    yield replace(worst, evidence=worst.evidence + more, ruins_points=ruins)
+    yield replace(worst, evidence=worst.evidence + more, advice=advice, ruins_points=ruins)
+
+
+def offer(evidence: Evidence) -> str:
+    """Offer a plan of fine fringes alone that suits these points and the noise of these frames."""
+    sample, plan = evidence.frames, evidence.frames.recording.plan
+    near, far = np.percentile(evidence.points.points[:, 2], (0.5, 99.5))
+    margin = sample.limits.of(InterreflectionLimits).depth_margin_mm
+    depth_mm = float(math.floor(near - margin)), float(math.ceil(far + margin))
+    finest = plan.finest_set(plan.axes[0])
+    noise = sample.phase_noise(finest) / plan.fringes[finest].phase_noise
+    try:
+        offered = fine_plan(evidence.points.calibration, depth_mm, noise=noise)
+    except ConfigError as error:
+        return f"{COAT}; a plan of fine fringes alone does not suit: {error}"
+    ratio = error_ratio(plan.fringes[finest].stripes, offered.fringes[-1].stripes)
+    if ratio < sample.limits.of(InterreflectionLimits).min_gain:
+        return COAT
+    return (
+        f"scan with fine fringes alone, of which {offered.images} images are expected to leave 1/{ratio:.0f} "
+        f"of the error where walls meet: `fpplab plan fine --depth {depth_mm[0]:g} {depth_mm[1]:g} "
+        f"--calibration FILE --out fine.yaml` writes the plan, and noise of these frames leaves its fringe "
+        f"orders certain; or {COAT}"
+    )
 
 
 def _find_backward_areas(sample: FrameSample, calibration: Calibration, axis: Axis) -> tuple[Mask, float]:
@@ -162,8 +194,7 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
 INTERREFLECTION = FaultCause(
     key="interreflection",
     meaning="Parts of the scene light each other.",
-    remedy="coat or turn the part so that its faces do not light each other, cover what stands next to it, "
-    "or use a plan of many fine stripes alone",
+    remedy=f"{COAT}, or scan with fine fringes alone, of a plan that `fpplab plan fine` writes",
     measured="phase of wide fringes compared with that of fine ones, as far as neighbours share it and no "
     "phase explains it; share of the image in which the coordinate runs against the calibration, as the "
     "image of a surface in a mirror does",
