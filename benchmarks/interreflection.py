@@ -6,8 +6,6 @@ one groove for comparison. The projector is turned about the groove's own direct
 parallel to it and every row of the camera sees the same but for noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

@@ -5,8 +5,6 @@ disagreement, in units of noise, is then the ratio of the error to the stated on
 single pixel is mostly chance.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -6,8 +6,6 @@ power of 1.5. A set of half as many fringes is bent eight times as much: where i
 points are left out, or their uncertainty is widened.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The groove of the benchmark of light between walls, and what is said of a scan of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Plans of fine fringes alone, and the uncertainty where their sets disagree."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -102,7 +102,7 @@ def fine_command(
     out: Out,
     blur: Annotated[
         float,
-        option("--blur", "Of the fringes, as a standard deviation in projector px.", min=0, max=20),
+        option("--blur", "Of the fringes, as a standard deviation in projector px.", min=0, max=2.5),
     ] = FINE_PLAN.blur_px,
     force: Force = False,
     json: Json = False,
