@@ -1,21 +1,31 @@
 """Several exposures: black rubber beside polished metal, the uncertainty stated, and the choice of exposures.
 
 Frames are made by the formulas of fringes and of a sensor with shot noise, read-out noise, black level and
-8 bits. Matt parts are measured with the single exposure that suits them best.
+8 bits. Matt parts are measured with the single exposure that suits them best. Rubber beside metal is rendered
+in the twin too, and seconds are those of the emulated bench.
 """
 
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 
 from benchmarks import Result, above, below
+from fpplab.acquisition.acquire import acquire
 from fpplab.core import config
 from fpplab.core.conventions import Floats, Image
+from fpplab.devices.rig import Rig
+from fpplab.devices.simulation import Timed
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.phase import decode
+from fpplab.phase import Decoded, decode
 from fpplab.phase.exposures import merged_recording
-from fpplab.setup.exposures import SceneLight, choose_exposures
+from fpplab.sessions.session import Session
+from fpplab.setup.exposures import ExposureChoice, SceneLight, choose_exposures, measure_light
 from fpplab.setup.live.exposure import ExposureLimits
 
 SIZE, SHAPE = (912, 1140), (200, 320)
@@ -29,11 +39,92 @@ PLAN = config.validate({"fringes": SETS}, Plan, "benchmark")
 SEEDS = range(51_000, 51_003)
 SEARCHED = 60  # sets of exposures that the choice is compared with
 WITHIN = 1.1
+EMULATED_S = 14.0  # that a scan may take on the emulated bench
 
 
 def run() -> list[Result]:
     """Measure scenes of several seeds; five minutes on a quiet core."""
-    return [result for seed in SEEDS for result in _scene(seed)]
+    return [result for seed in SEEDS for result in _scene(seed)] + _seconds() + _rendered()
+
+
+def _seconds() -> list[Result]:
+    """Seconds foretold over those that pass on the emulated bench's clock while the scan is taken."""
+    world = {"mounted": "grey_card"}
+    with _rig(world, "rig_emulated_quick") as (rig, folder):
+        bench = rig.simulation
+        assert isinstance(bench, Timed)
+        plan = PLAN.model_copy(update={"trigger": "triggered"})
+        chosen = _chosen(rig, plan, EMULATED_S)
+        taken = _at(plan, chosen.exposures_s)
+        session, began = Session.create(folder / "session", taken, rig.described()), bench.now_s()
+        acquire(rig, taken, session)
+        ratio = chosen.seconds / (bench.now_s() - began)
+    name = "seconds_foretold_over_emulated"
+    return [below(name, ratio, "", WITHIN), above(f"{name}_at_least", ratio, "", 0.9)]
+
+
+def _rendered() -> list[Result]:
+    """Rubber beside metal in the twin: what the choice measures, beside the best single exposure."""
+    across = [0, -12, 0], [0, 8, 0]
+    items = {
+        name: {
+            "card_mm": [60, 90],
+            "material": name,
+            "pose": {"rotation_deg": turned, "translation_mm": [x, 0, 450]},
+        }
+        for name, turned, x in (("rubber", across[0], -33), ("metal", across[1], 33))
+    }
+    materials = {
+        "rubber": {"reflectance": 0.02},
+        "metal": {"kind": "glossy", "reflectance": 0.3, "gloss": 0.6, "gloss_roughness": 0.35},
+    }
+    world = {"items": items, "materials": materials, "mounted": "metal", "standing": ["rubber"], "seed": 91}
+    with _rig(world, "rig_demo_quick", analytic=False) as (rig, folder):
+        chosen = _chosen(rig, PLAN, SECONDS)
+        decoded = [_taken(rig, _at(PLAN, chosen.exposures_s), folder / name) for name in ("first", "again")]
+        singles = [_taken(rig, _at(PLAN, (each,)), folder / f"{each}") for each in (0.005, 0.02, 0.08, 0.3)]
+    lit = np.logical_or.reduce([each.valid for each in (*decoded, *singles)])
+    complete, single = (max(float(d.valid[lit].mean()) for d in some) for some in (decoded, singles))
+    both = decoded[0].valid & decoded[1].valid
+    stated = np.hypot(decoded[0].sigma, decoded[1].sigma)[both]
+    spread = float(np.sqrt(np.mean(((decoded[0].u - decoded[1].u)[both] / stated) ** 2)))
+    return [
+        above("completeness_of_choice_in_the_twin", complete, "", 0.95),
+        below("completeness_of_best_single_exposure_in_the_twin", single, "", complete),
+        below("repeats_apart_over_stated_in_the_twin", spread, "", WITHIN),
+    ]
+
+
+def _chosen(rig: Rig, plan: Plan, seconds: float) -> ExposureChoice:
+    light, limits, other_s = measure_light(rig, plan, seconds)
+    return choose_exposures(light, plan, rig.projector.caps.size, limits, seconds, other_s)
+
+
+def _at(plan: Plan, exposures_s: Sequence[float]) -> Plan:
+    several = tuple(exposures_s) if len(exposures_s) > 1 else None
+    return plan.model_copy(update={"exposure_s": exposures_s[0], "exposures_s": several})
+
+
+def _taken(rig: Rig, plan: Plan, folder: Path) -> Decoded:
+    session = Session.create(folder, plan, rig.described())
+    acquire(rig, plan, session)
+    return decode(session.recording())
+
+
+@contextmanager
+def _rig(changed: dict[str, Any], name: str, analytic: bool = True) -> Iterator[tuple[Rig, Path]]:
+    """Open a rig of the quick virtual bench with another world, and give a folder."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        world = yaml.safe_load(config.find_config("world_demo", "world").read_text()) | changed
+        (folder / "world.yaml").write_text(yaml.safe_dump(world))
+        optics = yaml.safe_load(config.find_config("rig_demo_quick", "rig").read_text())
+        optics["bench"] |= {"world": "world.yaml", "analytic": analytic}
+        (folder / "rig_demo_quick.yaml").write_text(yaml.safe_dump(optics))
+        if name != "rig_demo_quick":
+            (folder / f"{name}.yaml").write_text(config.find_config(name, "rig").read_text())
+        with Rig.load(folder / f"{name}.yaml") as rig:
+            yield rig, folder
 
 
 class _Scene:

@@ -134,6 +134,10 @@ class EmulatedBench:
     def close(self) -> None:
         self._stack.close()
 
+    def now_s(self) -> float:
+        """Give the bench's time in s."""
+        return self.clock.now()
+
     @property
     def next_frame(self) -> int:
         """Number of the next frame that the optics render; see `fpplab.devices.simulation`."""

@@ -71,6 +71,7 @@ OPTION_HINTS = {
 
 FIELDS = {
     **dict.fromkeys(("--exposure", "--exposure-s", "--exposure-time"), "exposure_s of the plan"),
+    **dict.fromkeys(("--exposures", "--exposures-s"), "exposures_s of the plan"),
     **{f"--{name}": f"{name} of the plan" for name in ("fringes", "masks", "response", "steps", "stripes")},
     **{f"--{name}": f"{name} of the rig file" for name in ("camera", "projector", "stage", "serial", "port")},
     **dict.fromkeys(("--gain", "--gain-db"), "gain_db of the camera in the rig file"),

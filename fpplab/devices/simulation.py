@@ -94,6 +94,15 @@ class NumberedFrames(Protocol):
 
 
 @runtime_checkable
+class Timed(Protocol):
+    """A simulation of devices that take time of their own, which is not the computer's."""
+
+    def now_s(self) -> float:
+        """Give the time in s since opening."""
+        ...
+
+
+@runtime_checkable
 class Turnable(Protocol):
     """A simulation whose projector can be turned about the vertical axis through its centre.
 

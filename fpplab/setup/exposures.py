@@ -8,7 +8,8 @@ contrast of the fringes and the camera's noise. What a set of exposures leaves o
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import combinations
@@ -21,6 +22,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import TWO_PI, Floats, Image, Mask, axis_length, raw_per_grey
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.devices.rig import Rig
+from fpplab.devices.simulation import Timed
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import MaskRules, Plan
 from fpplab.phase.exposures import ExposureModel, merge_frames
@@ -214,10 +216,14 @@ def measure_light(rig: Rig, plan: Plan, seconds: float) -> tuple[SceneLight, Exp
     other_s = planned_timing(rig, plan, shown, settings.exposure_s).period_s - settings.exposure_s
     exposure_s = longest_exposure(plan, limits, seconds, other_s)
     frames, exposures_s = list[Image](), list[float]()
+    now = _clock_of(rig)
     while True:
         settings = rig.camera_settings(exposure_s, plan.bits)
+        began = now()
         with closing(expose(rig, shown, settings, plan)) as shots:
             taken = list(shots)
+        if not frames:  # with the longest exposure, which allows the fewest patterns in an image of a display
+            other_s = max(other_s, (now() - began) / len(shown) - taken[0].settings.exposure_s)
         frames += [shot.image for shot in taken]
         exposures_s.append(taken[0].settings.exposure_s)
         saturated = float((taken[0].image >= 2**settings.bits - 1).mean())
@@ -228,6 +234,13 @@ def measure_light(rig: Rig, plan: Plan, seconds: float) -> tuple[SceneLight, Exp
     shifts = finest.phase_shifts()
     light = SceneLight.of(frames, settings.bits, exposures_s, float(shifts[half] - shifts[0]))
     return light, limits, other_s
+
+
+def _clock_of(rig: Rig) -> Callable[[], float]:
+    """The time in s that frames take, which is 0 where a simulation computes them."""
+    if rig.simulation is None:
+        return time.monotonic
+    return rig.simulation.now_s if isinstance(rig.simulation, Timed) else lambda: 0.0
 
 
 def um_per_px(calibration: Calibration, plan: Plan) -> float:
