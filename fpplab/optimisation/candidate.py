@@ -31,16 +31,24 @@ class Candidate:
     exposure_s: float  # exposure of every image in seconds
     stage_mm: float | None = None  # position of the stage that moves a device, which sets the baseline
     convergence_deg: float | None = None  # rotation of the projector towards the camera in degrees
+    exposures_s: tuple[float, ...] | None = None  # in place of the exposure, where each image has several
 
     @classmethod
     def of(cls, plan: Plan) -> Candidate:
-        plan.refuse_exposures("a search")
         sets = tuple(Fringes(f.axis, f.stripes, f.images, f.pattern_bits) for f in plan.fringes)
-        return cls(sets, plan.exposure_s, plan.stage_mm)
+        return cls(sets, plan.exposure_s, plan.stage_mm, exposures_s=plan.exposures_s)
 
     @property
     def images(self) -> int:
         return sum(fringes.steps for fringes in self.fringes)
+
+    @property
+    def exposures(self) -> tuple[float, ...]:
+        return self.exposures_s or (self.exposure_s,)
+
+    def seconds(self, other_s: float) -> float:
+        """Time of all images, of which each takes `other_s` beside its exposure."""
+        return self.images * sum(exposure_s + other_s for exposure_s in self.exposures)
 
     @property
     def pattern_bits(self) -> int:

@@ -28,6 +28,7 @@ class MeasuringSetup:
     exposure_s: float  # exposure of every image in seconds
     stage_mm: float | None = None  # position of the stage in mm; None leaves it
     convergence_deg: float | None = None  # rotation of the projector towards the camera in degrees
+    taken: int = 0  # how often every image was taken before, at other exposures
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,9 @@ class FringeSetCache:
                 for key, fringe_set in zip(keys, fringes, strict=True)
                 for number in noise_numbers(key, fringe_set.steps)
             )
-        plan = self._template.model_copy(update={"fringes": sets, "exposure_s": setup.exposure_s})
+        plan = self._template.model_copy(
+            update={"fringes": sets, "exposure_s": setup.exposure_s, "exposures_s": None}
+        )
         frames = iter(capture(self._rig, plan))
         for key, fringe_set in zip(keys, fringes, strict=True):
             self._kept.setdefault(key, {})[fringe_set.steps] = [next(frames) for _ in range(fringe_set.steps)]
@@ -111,9 +114,9 @@ def _frame_bytes(sets: dict[int, list[Image]]) -> int:
 def noise_numbers(key: _Key, steps: int) -> list[int]:
     # It depends neither on the stripe count nor on the number of steps, so that similar candidates have equal
     # noise.
-    return [
-        _hash_number(key.seed, key.setup.item, key.axis, key.place, Fraction(n, steps)) for n in range(steps)
-    ]
+    again = (key.setup.taken,) if key.setup.taken else ()
+    parts = key.seed, key.setup.item, key.axis, key.place
+    return [_hash_number(*parts, Fraction(n, steps), *again) for n in range(steps)]
 
 
 def _hash_number(*parts: object) -> int:

@@ -69,11 +69,13 @@ class RigLimits:
             yield f"'pattern_bits' is {bits}: its projector shows {sorted(self.bit_depths)}"
             return
         shortest_s = max(shortest_s, self.bit_depths[bits])
-        if not shortest_s <= candidate.exposure_s <= longest_s:
-            yield (
-                f"'exposure_s' is {candidate.exposure_s:g}: with {bits} bits from {shortest_s:g} s, which is "
-                f"{1.0 / (shortest_s + self.dead_time_s):.4g} images per second, to {longest_s:g} s"
-            )
+        name = "exposures_s" if candidate.exposures_s else "exposure_s"
+        for exposure_s in candidate.exposures:
+            if not shortest_s <= exposure_s <= longest_s:
+                yield (
+                    f"'{name}' is {exposure_s:g}: with {bits} bits from {shortest_s:g} s, which is "
+                    f"{1.0 / (shortest_s + self.dead_time_s):.4g} images per second, to {longest_s:g} s"
+                )
 
     def _stage_refusals(self, mm: float) -> Iterator[str]:
         if self.stage_mm is None:

@@ -30,6 +30,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, check_unwrapping, decode
 from fpplab.phase.bounds import DecodingBounds, widest_interval_share
+from fpplab.phase.exposures import merged_recording
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
@@ -109,7 +110,7 @@ class RigEvaluator:
     def _measure_and_score(self, name: str, candidate: Candidate, seed: int) -> Score:
         figures = asdict(self.figures(name, candidate, seed))
         del figures["surface_spread_um"]
-        seconds = candidate.images * (candidate.exposure_s + self._image_s)
+        seconds = candidate.seconds(self._image_s)
         return Score(artefact=name, seed=seed, images=candidate.images, seconds=seconds, **figures)
 
     def _take_and_decode(
@@ -117,11 +118,18 @@ class RigEvaluator:
     ) -> Decoded:
         plan, rig = candidate.plan(self._problem.start), self._rig
         bounds = possible_coordinates(plan, calibration, rig)  # may raise, so before anything is acquired
-        setup = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
-        frames = self._frames.frames(setup, candidate.fringes, seed)
+        place = candidate.stage_mm, candidate.convergence_deg
+        frames = [
+            frame
+            for taken, exposure_s in enumerate(candidate.exposures)
+            for frame in self._frames.frames(
+                MeasuringSetup(name, exposure_s, *place, taken), candidate.fringes, seed
+            )
+        ]
         size, bits = rig.projector.caps.size, self._problem.start.bits or rig.file.camera.bits
         name, bayer = f"measurement of the {name}", rig.camera.caps.bayer
-        return decode(Recording(frames, plan, size, bits, name, bayer=bayer), bounds=bounds)
+        raw = Recording(frames, plan, size, bits, name, bayer=bayer)
+        return decode(merged_recording(raw, candidate.exposures), bounds=bounds)
 
     def _true_shape(self, name: str, candidate: Candidate) -> TrueShape:
         space = self._problem.space

@@ -26,6 +26,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
+from fpplab.phase.exposures import merged_recording
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class ScreeningLimits:
     border: int = 3  # rows and columns at each edge of a part that serve as neighbours alone (chosen)
     density_per_mm2: float = 60.0  # samples of the true surface (chosen: some thousands in each part)
     max_sets: int = 8  # fringe sets by which noise is numbered: the greatest number in study files
+    max_draws: int = 1 << 20  # sets by which noise is numbered before those of a further exposure (chosen)
     kept_sets: int = 32  # fringe sets whose patterns are kept in memory (chosen)
 
 
@@ -69,7 +71,7 @@ class SampledEvaluator:
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
         dead = RigLimits.of(self._rig).dead_time_s + self._problem.start.settle_s
-        seconds = candidate.images * (candidate.exposure_s + dead)
+        seconds = candidate.seconds(dead)
         scores = []
         for name in self._problem.artefacts:
             with _one_thread():
@@ -114,17 +116,20 @@ class SampledEvaluator:
 
     def _recorded(self, name: str, candidate: Candidate, seed: int, part: _ImagePart) -> Recording:
         plan, sampler = candidate.plan(self._problem.start), self._sampler(seed)
-        settings, first = self._rig.camera_settings(plan.exposure_s, plan.bits), LIMITS.max_sets * (seed + 1)
+        several = [self._rig.camera_settings(each, plan.bits) for each in candidate.exposures]
+        first = LIMITS.max_sets * (seed + 1)
         frames = [
             frame
-            for number, fringes in enumerate(candidate.fringes, first)
+            for taken, settings in enumerate(several)
+            for number, fringes in enumerate(candidate.fringes, first + LIMITS.max_draws * taken)
             for frame in sampler.frames(
                 name, self._patterns_of(fringes), settings, part.rows, number, part.columns
             )
         ]
         size = part.calibration.projector.size
         name, bayer = f"a part of the {name}", self._rig.camera.caps.bayer
-        return Recording(frames, plan, size, settings.bits, name, bayer=bayer)
+        raw = Recording(frames, plan, size, several[0].bits, name, bayer=bayer)
+        return merged_recording(raw, candidate.exposures)
 
     def _patterns_of(self, fringes: Fringes) -> tuple[Pattern, ...]:
         """Make the patterns of a set once: the simulation keeps what it computes by the patterns it got."""

@@ -100,6 +100,7 @@ class SearchSpace:
             exposure_s=values.get("exposure_s", template.exposure_s),
             stage_mm=values.get("stage_mm", template.stage_mm),
             convergence_deg=values.get("convergence_deg", template.convergence_deg),
+            exposures_s=template.exposures_s,
         )
 
     def refusal(self, candidate: Candidate) -> str | None:
@@ -139,7 +140,9 @@ def _template_candidate(problem: SearchProblem, source: str) -> Candidate:
     for i in range(1, count - len(fringes) + 1):
         fringes.insert(i, _additional_set(problem, i, source))
     convergence_deg = 0.0 if space.convergence_deg is not None else None
-    return Candidate(tuple(fringes), plan.exposure_s, plan.stage_mm, convergence_deg)
+    if space.exposure_s and plan.exposures_s:
+        raise ConfigError(f"{source}: 'space' searches exposure_s, and 'start' has 'exposures_s'")
+    return Candidate(tuple(fringes), plan.exposure_s, plan.stage_mm, convergence_deg, plan.exposures_s)
 
 
 def _pattern_bits(values: Mapping[str, float], otherwise: int | None) -> int | None:

@@ -51,7 +51,9 @@ class ExposureModel:
 
 
 def merged_recording(recording: Recording, exposures_s: Sequence[float]) -> Recording:
-    """Merge the frames of a plan taken at several exposures, one whole plan after another."""
+    """Merge the frames of a plan taken at several exposures, one plan after another; one stays as it is."""
+    if len(exposures_s) == 1:
+        return recording
     shown = recording.plan.images
     if len(recording.frames) != shown * len(exposures_s):
         raise DataError(

@@ -244,8 +244,7 @@ class _Sampled:
         recording = Recording(
             frames, self.plan, size, several[0].bits, name, lattice=lattice, bayer=self.rig.camera.caps.bayer
         )
-        if self.plan.exposures_s:
-            recording = merged_recording(recording, self.plan.exposures_s)
+        recording = merged_recording(recording, self.plan.exposures)
         decoded = self._placed(decode(recording, bounds=self._bounds_of_rows()))
         return points_of(decoded, self.calibration, self.plan)
 

@@ -177,6 +177,10 @@ BAD_SPACES: dict[str, tuple[dict[str, Any], str]] = {
         {"start": {"fringes": FRINGES}, "space": {"stage_mm": [-5, 5]}},
         "'start' has no stage_mm to begin with",
     ),
+    "an exposure beside several": (
+        {"start": {"fringes": FRINGES, "exposures_s": [0.01, 0.05]}, "space": {"exposure_s": [0.01, 0.1]}},
+        "'space' searches exposure_s, and 'start' has 'exposures_s'",
+    ),
     "foreign fringes": (
         {"start": {"fringes": [{**FRINGES[0], "shift_sign": -1}, FRINGES[2]]}},
         "fringes of imported images",

@@ -1,6 +1,7 @@
 """The cache of fringe sets: each acquired once, shared between step counts, with reproducible noise."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,7 @@ def test_noise_differs_between_seeds_positions_and_steps(sets: Sets) -> None:
     one, again, elsewhere = stack(store, BASE), stack(store, BASE, seed=2), stack(store, FINE, BASE)[12:]
     assert (one != again).mean() > 0.3
     assert (one != elsewhere).mean() > 0.3
+    assert (one != stack(store, BASE, setup=replace(CARD, taken=1))).mean() > 0.3
     halves = one[:6].astype(int) + one[6:]  # half a period apart: the fringes cancel in the sum
     assert np.abs(halves - halves.mean(axis=0)).mean() > 0.3
 
