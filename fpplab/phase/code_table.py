@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
+from scipy.special import erfc
 
 from fpplab.core.conventions import Axis, Floats, Lattice, axis_length
 from fpplab.patterns.fringe_sets import PatternSet
@@ -142,3 +143,41 @@ def nearest_codes(table: CodeTable, apart_px: float) -> tuple[float, float, floa
         if distance[n] < worst[0]:
             worst = (float(distance[n]), float(at[k]), float(at[rest][n]))
     return worst
+
+
+def code_uncertainty(table: CodeTable, noise: float, apart_px: float) -> tuple[float, float]:
+    """Compute what noise makes of a coordinate that codes tell, before anything is measured.
+
+    Parameters
+    ----------
+    table : CodeTable
+        Of the sets.
+    noise : float
+        Standard deviation of a grey level, as a share of the modulation.
+    apart_px : float
+        Distance in px from which on another coordinate is a wrong one.
+
+    Returns
+    -------
+    sigma_px : float
+        Standard uncertainty of a coordinate that is not wrong, RMS along the axis.
+    chance : float
+        Of a wrong one.
+    """
+    sigma, index = 0.5 * noise, np.arange(len(table.coordinate))  # the light's range is twice the modulation
+    unit = table.unit[:, : len(index)].astype(np.float64)
+    total, square, reach = np.zeros(len(index)), np.zeros(len(index)), int(apart_px / GRID_PX)
+    for away in range(-reach, reach + 1):
+        other = np.clip(index + away, 0, len(index) - 1)
+        lost = table.scale**2 * (1.0 - np.clip(np.sum(unit * unit[:, other], axis=0), 0.0, 1.0) ** 2)
+        weight = np.where(other == index + away, np.exp(-0.5 * lost / sigma**2), 0.0)
+        total, square = total + weight, square + weight * (away * GRID_PX) ** 2
+    slope = np.linalg.norm(table.slope, axis=1)
+    spread, bound = square / total + GRID_PX**2 / 12.0, sigma / np.maximum(slope, 1e-9)
+    variance = np.where(bound < GRID_PX, bound**2, spread)
+    at, chances = table.coordinate[table.middle], []
+    for k, middle in enumerate(table.middle):
+        cosine = np.clip(unit[:, middle] @ unit[:, table.middle], 0.0, 1.0)[np.abs(at - at[k]) > apart_px]
+        nearest = table.scale[middle] * np.sqrt(1.0 - np.max(cosine, initial=0.0) ** 2)
+        chances.append(0.5 * erfc(nearest / (np.sqrt(8.0) * sigma)))
+    return float(np.sqrt(variance.mean())), float(np.average(chances, weights=np.diff(table.start)))

@@ -15,7 +15,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import SyntheticWavelength, unwrapping_methods
 from fpplab.phase.bounds import DecodingBounds, PossibleCoordinates
 from fpplab.phase.code_decoding import CodedAxis, decode_codes
-from fpplab.phase.code_table import code_table, nearest_codes
+from fpplab.phase.code_table import code_table, code_uncertainty, nearest_codes
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.error_model import saturation_of
 from fpplab.phase.limits import CODES
@@ -60,6 +60,14 @@ def axes_with_orders(plan: Plan, size: tuple[int, int]) -> dict[Axis, list[float
         if _distance(kinds, axis, size, 0.5 * own[-1])[0] >= min_distance():
             periods[axis] = own
     return periods
+
+
+def coded_coordinate(plan: Plan, axis: Axis, size: tuple[int, int], noise: float) -> tuple[float, float]:
+    """Uncertainty in px of a coordinate that all sets of an axis tell together, and the chance of another."""
+    # noise of a grey level, as a share of the modulation
+    kinds = tuple(plan.sets[k] for k in sets_of_axis(plan, axis, with_fringes=True))
+    table = code_table(kinds, axis, size, Lattice.SQUARE, CODES.usual_blur_px)
+    return code_uncertainty(table, noise, CODES.apart_px)
 
 
 def min_distance() -> float:

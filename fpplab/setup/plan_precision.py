@@ -11,6 +11,7 @@ from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
 from fpplab.phase.bounds import widest_interval_share
+from fpplab.phase.coded_axes import axes_by_codes, axes_with_orders, coded_coordinate
 from fpplab.phase.order_risk import wrong_order_chance
 from fpplab.phase.precision import coordinate_spread
 from fpplab.reconstruction.depth_range import decoding_bounds
@@ -23,7 +24,7 @@ class PlanPrecision:
 
     noise: float  # standard deviation of a grey level as a share of the modulation, in every image
     sigma_px: dict[Axis, float]  # of the projector coordinate
-    wrong_orders: dict[Axis, float]  # chance that a pixel's fringe order is wrong
+    wrong_orders: dict[Axis, float]  # chance that a pixel's fringe order, or its code, is taken for another
     depth_mm: float | None = None  # distance along the camera's axis for which `sigma_um` holds
     sigma_um: float | None = None  # along the camera's rays
 
@@ -34,17 +35,23 @@ def plan_precision(
     noise: float,
     calibration: Calibration | None = None,
     depth: DepthRange | None = None,
-) -> PlanPrecision | None:
-    """Compute the uncertainty of a plan on a projector of `size`; None for one with codes beside fringes."""
-    if plan.fringe_part is not plan:
-        return None
+) -> PlanPrecision:
+    """Compute the uncertainty of a plan on a projector of `size`."""
     bounds = decoding_bounds(plan, calibration, depth) if calibration else None
-    sigma = {axis: noise * coordinate_spread(plan, axis, size) for axis in plan.axes}
+    sigma: dict[Axis, float] = {}
     chances: dict[Axis, float] = {}
-    for axis in plan.unwrapped_axes:
-        with suppress(ConfigError):  # orders that need a calibration, or another recording
-            share = widest_interval_share(bounds, axis, size)
-            chances[axis] = float(wrong_order_chance(plan, axis, np.asarray(noise), share))
+    by_codes, with_orders = axes_by_codes(plan, size), axes_with_orders(plan, size)
+    for axis in plan.axes:
+        if axis in by_codes:
+            sigma[axis], chances[axis] = coded_coordinate(plan, axis, size, noise)
+            continue
+        fringes = plan.fringe_part
+        assert fringes is not None  # without codes
+        sigma[axis] = noise * coordinate_spread(fringes, axis, size)
+        if axis in plan.unwrapped_axes and axis not in with_orders:
+            with suppress(ConfigError):  # orders that need a calibration, or another recording
+                share = widest_interval_share(bounds, axis, size)
+                chances[axis] = float(wrong_order_chance(fringes, axis, np.asarray(noise), share))
     if calibration is None:
         return PlanPrecision(noise, sigma, chances)
     geometry = RigGeometry(calibration)

@@ -29,7 +29,7 @@ class PlanPreview:
     period_s: float  # least s from one pattern to the next
     period_set_by: str  # what keeps it from being shorter
     least_s: float  # least s for all patterns, without loading them and preparing the devices
-    precision: PlanPrecision | None  # what noise makes of it; None for codes that are no fringes
+    precision: PlanPrecision  # what noise makes of it
 
 
 def preview_plan(

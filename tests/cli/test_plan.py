@@ -123,10 +123,8 @@ def test_noise_is_told_as_depth_where_a_calibration_is_given() -> None:
     fine, coarse = (
         plan_precision(planned(stripes), known.projector.size, 0.02, known) for stripes in (64, 32)
     )
-    assert fine is not None
     assert fine.sigma_um is not None
     assert fine.depth_mm is not None
-    assert coarse is not None
     assert coarse.sigma_um == pytest.approx(2 * fine.sigma_um)
     point = np.array([[0.0, 0.0, fine.depth_mm], [0.0, 0.0, fine.depth_mm + 1.0]])
     near, far = known.projector.project(point, known.T_projector_camera)

@@ -19,11 +19,12 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import check_codes, decode
 from fpplab.phase.bounds import PossibleCoordinates
-from fpplab.phase.code_decoding import _fitted, decode_codes
-from fpplab.phase.code_table import CodeTable, code_table
+from fpplab.phase.code_decoding import _fitted, _fitted_search, decode_codes
+from fpplab.phase.code_table import CodeTable, code_table, with_bounds
 from fpplab.phase.coded_axes import sets_of_axis
 from fpplab.phase.limits import CODES
 from fpplab.phase.noise import surprising_power
+from fpplab.setup.plan_precision import plan_precision
 
 SIZE = 240, 160
 EVEN: dict[str, Any] = {"kind": "even", "levels": [1, 0]}
@@ -153,10 +154,13 @@ def exhaustive(table: CodeTable, x: Floats, scores: Floats, at: int, variance_of
     return [mean, np.sqrt(spread), min((peak - runner_up**2) / variance, CODES.certain_chi2)]
 
 
-def random_stripes(images: int) -> list[dict[str, Any]]:
-    """Patterns of files, each of random stripes of three columns."""
-    random = np.random.default_rng(3)
-    levels = np.repeat(random.integers(0, 2, (images, SIZE[0] // 3)) * 255, 3, axis=1)
+def random_stripes(images: int, *, back: bool = False) -> list[dict[str, Any]]:
+    """Files of random stripes of three columns, or of nine of which the middle differs a bit."""
+    random, column = np.random.default_rng(3), np.arange(SIZE[0])
+    levels = random.integers(20, 235, (images, SIZE[0]))[:, column // 9]
+    levels += 20 * (column // 3 % 3 == 1) * random.choice((-1, 1), (images, SIZE[0]))[:, column // 9]
+    if not back:
+        levels = (random.integers(0, 2, (images, SIZE[0])) * 255)[:, column // 3]
     packed = [base64.b64encode(zlib.compress(each.astype(np.uint8).tobytes())).decode() for each in levels]
     names = [f"{k}.png" for k in range(images)]
     return [{"kind": "files", "axis": "x", "names": names, "levels": packed}]
@@ -198,6 +202,21 @@ def test_the_search_finds_what_all_codes_of_the_grid_give(
         ), n
 
 
+@pytest.mark.parametrize("ratio", [10, 40])
+@pytest.mark.parametrize("back", [False, True])
+def test_candidates_that_are_left_out_change_nothing(*, back: bool, ratio: float) -> None:
+    """Also of codes that go and come back, where another peak lies beside the best one."""
+    plan = plan_of(random_stripes(12, back=back))
+    _, recording = recorded(plan, ratio)
+    frames = [frame.reshape(-1) for frame in recording.frames]
+    search, _ = _fitted_search(recording, "x", sets_of_axis(plan, "x", with_fringes=True), frames)
+    every, few = (
+        replace(search, table=table).run(frames, slice(0, frames[0].size))
+        for table in (search.table, with_bounds(search.table))
+    )
+    np.testing.assert_allclose(few, every, rtol=1e-5, atol=1e-5)
+
+
 def test_blur_and_noise_are_fitted_once() -> None:
     _, recording = recorded(plan_of(KINDS["micro phase shifting"]), 25)
     decode(recording)
@@ -225,6 +244,24 @@ def test_the_chance_of_another_coordinate_is_as_stated() -> None:
     stated = float(np.mean(1.0 / (1.0 + np.exp(0.5 * np.minimum(coded.gap, 200.0)))))
     assert wrong > 0.01
     assert 0.5 < stated / wrong < 2.0
+
+
+@pytest.mark.parametrize("sets", KINDS.values(), ids=KINDS)
+def test_what_noise_makes_of_codes_is_known_before(sets: list[dict[str, Any]]) -> None:
+    plan = plan_of(sets)
+    coordinate, recording = recorded(plan, 8, seed=9)
+    planned = plan_precision(plan, SIZE, 1 / 8)
+    coded = decode_codes(recording, "x", sets_of_axis(plan, "x", with_fringes=True))
+    error = coded.coordinate - coordinate
+    wrong = np.abs(error) > CODES.apart_px
+    assert planned.sigma_px["x"] == pytest.approx(np.sqrt(np.mean(error[~wrong] ** 2)), rel=0.1)
+    assert planned.wrong_orders["x"] == pytest.approx(wrong.mean(), rel=1.0, abs=3e-4)
+
+
+def test_uncertainty_of_fringes_whose_orders_codes_tell_is_that_of_the_fringes() -> None:
+    fringes = {"axis": "x", "stripes": 15, "steps": 4}
+    both = plan_precision(plan_of([{**GRAY, "bits": 4, "cell_px": 16}, EVEN, fringes]), SIZE, 0.02)
+    assert both.sigma_px == plan_precision(plan_of([fringes]), SIZE, 0.02).sigma_px
 
 
 @pytest.mark.parametrize("blur_px", [0.0, 1.0, 2.0])

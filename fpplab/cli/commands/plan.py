@@ -84,8 +84,7 @@ def show_command(
         drawn = pattern_sheet(patterns)
         write_atomic(out, lambda stream: stream.write(drawn))
     result = asdict(preview)
-    precision = result.pop("precision") or {}
-    console.print_result(result | precision, json)
+    console.print_result(result | result.pop("precision"), json)
 
 
 @plan_app.command("fine")
