@@ -16,6 +16,7 @@ from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateRunner
 from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate
 from fpplab.optimisation.methods.gradient import Gradient
+from fpplab.optimisation.methods.nsga2 import _noise_bound
 from fpplab.optimisation.ranking import CandidateRanking
 from fpplab.optimisation.scheduling import InProcessWorkers, measure_outcome
 from fpplab.optimisation.space import Parameter, SearchSpace
@@ -415,6 +416,20 @@ def test_bayesian_search_finds_the_stripes(tmp_path: Path) -> None:
         search(runner)
     assert runner.best.figures.surface_smcd_um < best_of(Formula(), 12) + 1.0
     assert runner.ranking.is_acceptable(runner.best)
+
+
+@pytest.mark.whole
+def test_front_against_seconds_begins_with_quick_plans_of_little_noise(tmp_path: Path) -> None:
+    """At the start's exposure no plan of three sets is more than four times as quick."""
+    space = {**FRONT["space"], "exposure_s": [0.002, 0.05], "pattern_bits": [4, 8]}  # type: ignore[dict-item]
+    changes = {"space": space, "objectives": ["surface_smcd_um", "seconds"], "constraints": {}, "budget": 12}
+    start = {"fringes": FRINGES, "stage_mm": 0.0, "exposure_s": 0.02}
+    runner = runner_of(tmp_path, **{**FRONT, **changes, "start": start, "seeds": [83, 84]})
+    with pytest.raises(BudgetExhausted):
+        search(runner)
+    quick = [trial for trial in runner.trials if trial.figures.seconds < runner.start.figures.seconds / 5]
+    most = _noise_bound(runner, runner.start.candidate)
+    assert any(_noise_bound(runner, trial.candidate) <= most for trial in quick)
 
 
 @pytest.mark.nightly

@@ -1,23 +1,46 @@
-"""NSGA-II (optuna) over all parameters together, seeded with the results of single-parameter searches."""
+"""NSGA-II (optuna) over all parameters together, which begins near optima of single ones or of a bound."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
-from fpplab.optimisation.candidate import Point
+from fpplab.core.errors import ConfigError
+from fpplab.optimisation.candidate import Candidate, Point
 from fpplab.optimisation.candidate_runner import CandidateRunner
 from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.methods.coordinate import Coordinate, coordinate_search
 from fpplab.optimisation.search_method import SearchMethod
+from fpplab.phase.order_risk import wrong_order_chance
+from fpplab.phase.precision import coordinate_spread
 
 SINGLE_SEARCH = Coordinate(first=0.25, finest=0.02)  # of the single-parameter searches at the beginning
 REFINEMENT = Coordinate(first=0.08, finest=0.02)
 """Of the continuous parameters of each plan of the front at the end."""
 
 
+@dataclass(frozen=True)
+class BoundLimits:
+    """What the bound that noise sets says of candidates, before any is measured."""
+
+    drawn: int = 2000  # candidates that are rated (chosen: some seconds)
+    end_share: float = 0.7  # chance that a value is an end of its range, where optima often are (chosen)
+    noise: float = 0.02  # of a grey level at the start's exposure, as a share of the modulation (chosen)
+    wrong_order_chance: float = 1e-4  # beyond which a candidate is left out (chosen: outliers outweigh noise)
+
+
+BOUND = BoundLimits()
+
+
 class Nsga2(SearchMethod):
-    """NSGA-II over all parameters together, seeded with the results of single-parameter searches."""
+    """NSGA-II over all parameters together.
+
+    It begins with the results of single-parameter searches; where exposures or bits are searched, with the
+    plans whose noise has the lowest bound for their seconds.
+    """
 
     kind: Literal["nsga2"] = "nsga2"
     """Name of the method."""
@@ -39,7 +62,7 @@ class Nsga2(SearchMethod):
             quiet_optuna,
         )
 
-        first = _search_for_seed_points(runner)
+        first = _search_for_seed_points(runner, self.population)
         with quiet_optuna():
             seed = runner.space.problem.seeds[0]
             sampler = optuna.samplers.NSGAIISampler(population_size=self.population, seed=seed)
@@ -78,9 +101,11 @@ def _step_neighbours(runner: CandidateRunner, point: Point) -> Iterator[Point]:
                 yield (*point[:i], value, *point[i + 1 :])
 
 
-def _search_for_seed_points(runner: CandidateRunner) -> list[Point]:
+def _search_for_seed_points(runner: CandidateRunner, count: int) -> list[Point]:
     space = runner.space
     phases, stripes, geometry = (space.of_group(group) for group in ("steps", "stripes", "geometry"))
+    if space.of_group("light"):  # at the start's exposure, plans of many images grow far from the front
+        return [runner.start.point, *_points_by_the_bound(runner, count - 1)]
     grown = _grow_phase_plan(runner, runner.start.point, phases)
     begin = runner.start if space.refusal(runner.start.candidate) is None or not grown else grown[-1]
     best, singles = begin.point, [runner.start.point, *(trial.point for trial in grown)]
@@ -96,6 +121,43 @@ def _search_for_seed_points(runner: CandidateRunner) -> list[Point]:
     if best != begin.point:
         singles += [trial.point for trial in _grow_phase_plan(runner, best, phases)]
     return list(dict.fromkeys(point for point in singles if runner.is_feasible(point)))
+
+
+def _points_by_the_bound(runner: CandidateRunner, count: int) -> list[Point]:
+    """Points that have the lowest bound of noise for their seconds, up to those of the start."""
+    space, random = runner.space, np.random.default_rng(runner.space.problem.seeds[0])
+    drawn = space.of_group("steps", "stripes", "light")
+    rated: list[tuple[float, float, Point]] = []
+    for _ in range(BOUND.drawn):
+        share = random.random(len(space.parameters))
+        share = np.where(random.random(len(share)) < BOUND.end_share, np.rint(share), share)
+        point = tuple(
+            parameter.value_at(float(share[i])) if i in drawn else space.start[i]
+            for i, parameter in enumerate(space.parameters)
+        )
+        candidate = space.candidate(point)
+        seconds = candidate.seconds(space.limits.dead_time_s)
+        if space.refusal(candidate) is None and (bound := _noise_bound(runner, candidate)) < np.inf:
+            rated.append((seconds, bound, point))
+    latest = runner.start.candidate.seconds(space.limits.dead_time_s)
+    front: list[tuple[float, float, Point]] = []
+    for each in sorted(rated):
+        if each[0] <= latest and (not front or each[1] < front[-1][1]):
+            front.append(each)
+    at = np.unique(np.linspace(0, len(front) - 1, min(count, len(front))).round().astype(int))
+    return [front[k][2] for k in at]
+
+
+def _noise_bound(runner: CandidateRunner, candidate: Candidate) -> float:
+    """Bound of the noise of photons and of patterns' rounding in px; infinite where it makes orders fail."""
+    problem, size = runner.space.problem, runner.space.limits.size
+    plan, axis = candidate.plan(problem.start), candidate.fringes[0].axis
+    photons = BOUND.noise**2 * problem.start.exposure_s / candidate.exposure_s
+    noise = float(np.sqrt(photons + (2.0 / (2**candidate.pattern_bits - 1)) ** 2 / 12.0))
+    with suppress(ConfigError):  # orders that a calibration tells
+        if wrong_order_chance(plan, axis, np.array(noise)) > BOUND.wrong_order_chance:
+            return np.inf
+    return noise * coordinate_spread(plan, axis, size)
 
 
 def _differs_only_in(
