@@ -12,7 +12,7 @@ import numpy as np
 
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
-from fpplab.core.conventions import AXES, Floats
+from fpplab.core.conventions import AXES, Floats, axis_length
 from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
@@ -57,9 +57,13 @@ def fine_plan(
     return plan
 
 
-def error_ratio(stripes: float, finest: float) -> float:
-    """How many times less a groove's walls are expected to be bent with `finest` than with `stripes`."""
-    return float((finest / stripes) ** LIMITS.error_power)
+def error_ratio(plan: Plan, offered: Plan, projector_size: tuple[int, int]) -> float:
+    """How many times less a groove's walls are expected to be bent with the plan that is offered."""
+    periods = []
+    for each in (plan, offered):
+        finest = each.fringes[each.finest_set(each.axes[0])]
+        periods.append(axis_length(projector_size, finest.axis) / finest.stripes)
+    return float((periods[0] / periods[1]) ** LIMITS.error_power)
 
 
 def _spans_px(calibration: Calibration, depth_mm: DepthInterval) -> Floats:

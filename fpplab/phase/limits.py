@@ -448,8 +448,9 @@ class FinePlanLimits(NamedTuple):
     blur_px: float = 0.6
     """Blur of fringes in focus, as a standard deviation in projector px. Measured: half a mirror of the lens,
     and the camera's share."""
-    steps: tuple[int, int, int] = (6, 6, 12)
-    """Images of the sets, fewest stripes first. Chosen: the finest measures, the others tell orders."""
+    steps: tuple[int, int, int] = (4, 6, 26)
+    """Images of the sets, fewest stripes first. Chosen: as many as the usual plans have; the finest measures,
+    the others tell orders, and the first, which is bent most, has little weight."""
     beat_share: float = 0.8
     """What the depth range leaves possible, as a share of the period of the beat. Chosen: the rest is for
     noise and for light that bends phases."""

@@ -139,7 +139,7 @@ def test_a_plan_of_fine_fringes_is_written(fpplab: Command, tmp_path: Path) -> N
     assert done.code == 0, done.err
     written = Plan.load(tmp_path / "fine.yaml")
     assert written.fringes == Plan.load("plan_interreflections").fringes
-    assert (done.json["images"], written.depth_mm) == (24, (425.0, 475.0))
+    assert (done.json["images"], written.depth_mm) == (36, (425.0, 475.0))
     again = fpplab(*words, "--depth", 425, 475)
     assert (again.code, "--force" in again.json["error"]) == (2, True)
     wide = fpplab(*words, "--force", "--depth", 200, 900)

@@ -71,8 +71,11 @@ def test_what_no_plan_suits_is_refused(known: Calibration) -> None:
         fine_plan(known, DEPTH_MM, noise=0.2)
 
 
-def test_walls_are_bent_less_by_finer_fringes() -> None:
-    assert error_ratio(64, 228) == pytest.approx(6.72, abs=0.01)
+def test_walls_are_bent_less_by_finer_fringes(known: Calibration) -> None:
+    offered = fine_plan(known, DEPTH_MM)
+    ratio = error_ratio(Plan.load("plan_paper"), offered, known.projector.size)
+    assert ratio == pytest.approx(6.72, abs=0.01)
+    assert error_ratio(offered, offered, known.projector.size) == 1.0
 
 
 def test_uncertainty_is_widened_where_fine_sets_disagree(known: Calibration) -> None:

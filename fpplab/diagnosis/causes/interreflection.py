@@ -122,7 +122,7 @@ def offer(evidence: Evidence) -> str:
         offered = fine_plan(evidence.points.calibration, depth_mm, noise=noise)
     except ConfigError as error:
         return f"{COAT}; a plan of fine fringes alone does not suit: {error}"
-    ratio = error_ratio(plan.fringes[finest].stripes, offered.fringes[-1].stripes)
+    ratio = error_ratio(plan, offered, sample.recording.projector_size)
     if ratio < sample.limits.of(InterreflectionLimits).min_gain:
         return COAT
     return (
