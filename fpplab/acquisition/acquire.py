@@ -8,7 +8,7 @@ white.
 
 import logging
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 
 from fpplab.acquisition.synchronisation import check_synchronisation, provable, synchronisation_remedy
@@ -38,12 +38,11 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
     """Take every image of the plan that the session lacks."""
     # The projector is dark afterwards, whatever happened.
     all_missing = session.missing()
-    for index, exposure_s in enumerate(plan.exposures):
-        first = index * plan.images
-        missing = [k - first for k in all_missing if first <= k < first + plan.images]
+    for exposure_s, images, first in zip(plan.exposures, plan.passes, plan.pass_starts, strict=False):
+        missing = {images[k - first]: k for k in all_missing if first <= k < first + len(images)}
         _log.info("%d frames are to be taken, %g s each", len(missing), exposure_s)
         if missing:
-            _take_pass(rig, plan, session, missing, first, exposure_s, observe)
+            _take_pass(rig, plan, session, missing, exposure_s, observe)
     if all_missing:
         _prove(rig, session)
 
@@ -52,22 +51,22 @@ def _take_pass(
     rig: Rig,
     plan: Plan,
     session: Session,
-    missing: Sequence[int],
-    first: int,
+    missing: Mapping[int, int],
     exposure_s: float,
     observe: FrameObserver,
 ) -> None:
-    """Take the missing images of the plan at one exposure, whose frames begin at `first`."""
+    """Take the missing images of the plan at one exposure; `missing` has their frames."""
     caps = rig.projector.caps
     settings = rig.camera_settings(exposure_s, plan.bits)
-    patterns, ends = make_patterns(plan, caps.size, caps.lattice), end_markers(plan, caps.size)
+    patterns = make_patterns(plan, caps.size, caps.lattice)
+    ends = end_markers(plan.part_at(exposure_s), caps.size)
     brightness = []
     with (
         write_frames(session, observe) as record,
         closing(expose(rig, [*(patterns[i] for i in missing), *ends], settings, plan)) as shots,
     ):
         for index, shot in zip(missing, shots, strict=False):
-            record(shot.showing(patterns[index].id, first + index))
+            record(shot.showing(patterns[index].id, missing[index]))
             if ends:
                 brightness.append(float(shot.image.mean()))
         brightness += [float(shot.image.mean()) for shot in shots]

@@ -1,5 +1,7 @@
 """Frames of a simulation numbered by session: a resumed one gets the noise that it would have had."""
 
+from itertools import pairwise
+
 from fpplab.acquisition.acquire import end_markers
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import NumberedFrames
@@ -19,12 +21,11 @@ def number_frames(rig: Rig, session: Session) -> None:
     if not isinstance(simulation, NumberedFrames) or origin is None or origin.first_frame is None:
         return
     plan, first, missing = session.plan, origin.first_frame, session.missing()
-    ends = len(end_markers(plan, rig.projector.caps.size))
-    in_pass = plan.images + ends
     numbers: list[int] = []
-    for k in range(len(plan.exposures)):
-        start = first + k * in_pass
-        taken = [start + i % plan.images for i in missing if i // plan.images == k]
-        numbers += [*taken, *range(start + plan.images, start + in_pass)] if taken else []
-    after = first + in_pass * len(plan.exposures)
+    for exposure_s, (start, end) in zip(plan.exposures, pairwise(plan.pass_starts), strict=True):
+        ends = len(end_markers(plan.part_at(exposure_s), rig.projector.caps.size))
+        taken = [first + i for i in missing if start <= i < end]
+        first += ends
+        numbers += [*taken, *range(first + end - ends, first + end)] if taken else []
+    after = first + plan.frames
     simulation.number_frames(numbers, max(simulation.next_frame, after))

@@ -35,6 +35,7 @@ class Candidate:
 
     @classmethod
     def of(cls, plan: Plan) -> Candidate:
+        plan.refuse_set_exposures("a search")
         sets = tuple(Fringes(f.axis, f.stripes, f.images, f.pattern_bits) for f in plan.fringes)
         return cls(sets, plan.exposure_s, plan.stage_mm, exposures_s=plan.exposures_s)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,16 +18,13 @@ from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.core.tagged_union import TaggedUnion
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import FringeSet, PatternSet, indices_along
+from fpplab.patterns.fringe_sets.base import ExposureTime
 from fpplab.patterns.fringe_sets.pattern_files import with_pattern_files
 from fpplab.patterns.response import with_named_response
 from fpplab.patterns.unwrapping import unwrapping_methods
 
 AnySet = Annotated[PatternSet, TaggedUnion(default="sinusoid")]
 """A set of patterns of any kind; a sinusoid where no `kind` is given."""
-
-
-_Exposure = Annotated[float, Field(gt=0, le=60)]
-"""In s."""
 
 
 def _single_exposure(given: dict[str, Any]) -> float:
@@ -130,11 +127,11 @@ class Plan(Document):
 
     Without a calibration there is no coordinate along it, and a characterisation cannot use the plan.
     """
-    exposures_s: Annotated[tuple[_Exposure, ...] | None, Field(min_length=2, max_length=8)] = None
+    exposures_s: Annotated[tuple[ExposureTime, ...] | None, Field(min_length=2, max_length=8)] = None
     """Exposures in s of which each takes every pattern, for surfaces of which no exposure suits all; all
     patterns are shown at the first, then at the next. By default `exposure_s` alone.
     """
-    exposure_s: _Exposure = Field(default_factory=_single_exposure)
+    exposure_s: ExposureTime = Field(default_factory=_single_exposure)
     """Exposure of every frame, in s; with `exposures_s`, of what takes single pictures, such as `live`."""
     bits: Literal[8, 10, 12, 16] | None = None
     """Depth of the camera's grey levels, which the camera must offer; by default that of the rig file.
@@ -175,8 +172,18 @@ class Plan(Document):
 
     @model_validator(mode="after")
     def _exposures_differ(self) -> Plan:
-        if len(set(self.exposures)) < len(self.exposures):
-            raise ValueError("'exposures_s' names an exposure twice")
+        for exposures_s in (self.exposures_s or (), *self.exposures_by_set):
+            if len(set(exposures_s)) < len(exposures_s):
+                raise ValueError("'exposures_s' names an exposure twice")
+        if self.has_set_exposures and len(self.fringe_indices) < len(self.sets):
+            raise ValueError("'fringes' has a set with 'exposures_s': needs a plan of fringes alone")
+        finest = (
+            {self.exposures_by_set[self.finest_set(axis)] for axis in self.axes}
+            if self.has_set_exposures
+            else ()
+        )
+        if len(finest) > 1:
+            raise ValueError("'exposures_s' of the finest sets along x and y must be the same")
         return self
 
     @model_validator(mode="after")
@@ -286,14 +293,62 @@ class Plan(Document):
         return sum(each.images for each in self.sets)
 
     @property
+    def has_set_exposures(self) -> bool:
+        """Whether a set has exposures of its own."""
+        return any(isinstance(each, FringeSet) and each.exposures_s for each in self.sets)
+
+    @property
+    def exposures_by_set(self) -> tuple[tuple[float, ...], ...]:
+        """Exposures in s of each set's images."""
+        common = self.exposures_s or (self.exposure_s,)
+        return tuple((isinstance(each, FringeSet) and each.exposures_s) or common for each in self.sets)
+
+    @property
     def exposures(self) -> tuple[float, ...]:
-        """Exposures in s of which each takes every image, in the order taken."""
-        return self.exposures_s or (self.exposure_s,)
+        """Exposures in s in the order taken; each takes the images of all sets that have it."""
+        return tuple(dict.fromkeys(each for several in self.exposures_by_set for each in several))
+
+    @property
+    def passes(self) -> tuple[tuple[int, ...], ...]:
+        """The images that each exposure takes, by index."""
+        sets = [range(*pair) for pair in pairwise(self.set_starts)]
+        return tuple(
+            tuple(
+                i
+                for own, images in zip(self.exposures_by_set, sets, strict=True)
+                if each in own
+                for i in images
+            )
+            for each in self.exposures
+        )
+
+    @property
+    def pass_starts(self) -> tuple[int, ...]:
+        """Indices of each exposure's first frame, and of what would follow the last one."""
+        return tuple(accumulate((len(images) for images in self.passes), initial=0))
+
+    def part_at(self, exposure_s: float) -> Plan:
+        """Give the part of the plan that one exposure takes.
+
+        Parameters
+        ----------
+        exposure_s : float
+            One of `exposures`.
+
+        Returns
+        -------
+        Plan
+            With the sets that have it.
+        """
+        sets = tuple(
+            each for each, own in zip(self.sets, self.exposures_by_set, strict=True) if exposure_s in own
+        )
+        return self if sets == self.sets else self.model_copy(update={"fringes": sets, "guided_axis": None})
 
     @property
     def frames(self) -> int:
-        """Number of frames of a measurement: every image at every exposure."""
-        return self.images * len(self.exposures)
+        """Number of frames of a measurement: every image at each of its exposures."""
+        return self.pass_starts[-1]
 
     def refuse_exposures(self, use: str) -> None:
         """Refuse several exposures where they have no meaning.
@@ -308,8 +363,26 @@ class Plan(Document):
         ConfigError
             The plan has several.
         """
-        if self.exposures_s:
+        if len(self.exposures) > 1:
             raise ConfigError(f"plan: 'exposures_s' has {len(self.exposures)} exposures, but {use} takes one")
+
+    def refuse_set_exposures(self, use: str) -> None:
+        """Refuse exposures of single sets where all must have the same.
+
+        Parameters
+        ----------
+        use : str
+            What needs that, as the subject of the message.
+
+        Raises
+        ------
+        ConfigError
+            A set has its own.
+        """
+        if self.has_set_exposures:
+            raise ConfigError(
+                f"plan: a set has its own 'exposures_s', but {use} takes those of the plan alone"
+            )
 
     @property
     def axes(self) -> tuple[Axis, ...]:

@@ -42,15 +42,16 @@ class MergedLevels:
     ----------
     headroom : float
         Full scale of the merged frames, in full scales of the camera.
-    scale : ndarray of float32, (height, width)
-        Levels of each pixel per level of the longest exposure. Frames of a pixel have levels of the noise
-        that the camera has at this level; the light of neighbouring pixels is compared without the scale.
+    scales : tuple of ndarray of float32, (height, width) each
+        By set of the plan: levels of each pixel per level of the longest exposure. Frames of a pixel have
+        levels of the noise that the camera has at this level; the light of neighbouring pixels is compared
+        without the scale. Sets of the same exposures have the same.
     noise : tuple of float
         Variance of a merged level at 0, and its increase per level, in 8-bit grey levels.
     """
 
     headroom: float
-    scale: Map
+    scales: tuple[Map, ...]
     noise: tuple[float, float]
 
 
@@ -124,8 +125,20 @@ class Recording:
             Bayer camera as if all pixels had the same colour.
         """
         if self.merged is not None:
-            levels = np.asarray(levels / self.merged.scale, np.float32)
+            levels = np.asarray(levels / self._scale(), np.float32)
         return levels if self.bayer is None else without_mosaic(levels)
+
+    def _scale(self, index: int | None = None) -> Map:
+        """Scale of a set of merged frames, by default the finest: all have the same where there are codes."""
+        assert self.merged is not None
+        plan = self.plan
+        of_all = len(plan.fringe_indices) < len(plan.sets)
+        return self.merged.scales[0 if of_all else plan.finest_set() if index is None else index]
+
+    def _of_sets(self, plan: Plan, indices: Sequence[int]) -> Recording:
+        frames = [frame for k in indices for frame in self.of_set(k)]
+        merged = self.merged and replace(self.merged, scales=tuple(self.merged.scales[k] for k in indices))
+        return replace(self, plan=plan, frames=frames, merged=merged)
 
     def part(self, chosen: tuple[slice, slice]) -> Recording:
         """Take some pixels of the image.
@@ -141,7 +154,7 @@ class Recording:
             With these pixels of every frame alone.
         """
         frames = [np.ascontiguousarray(frame[chosen]) for frame in self.frames]
-        merged = self.merged and replace(self.merged, scale=self.merged.scale[chosen])
+        merged = self.merged and replace(self.merged, scales=tuple(s[chosen] for s in self.merged.scales))
         return replace(self, frames=frames, merged=merged)
 
     @cached_property
@@ -197,8 +210,7 @@ class Recording:
         part = self.plan.fringe_part
         if part is None or part is self.plan:
             return None if part is None else self
-        frames = [frame for k in self.plan.fringe_indices for frame in self.of_set(k)]
-        return replace(self, plan=part, frames=frames)
+        return self._of_sets(part, self.plan.fringe_indices)
 
     @property
     def typical_frame(self) -> Image:
@@ -224,8 +236,7 @@ class Recording:
         Recording
             With the plan and the frames of these sets alone.
         """
-        frames = [frame for k in self.plan.sets_along(axis) for frame in self.of_set(k)]
-        return replace(self, plan=self.plan.along(axis), frames=frames)
+        return self._of_sets(self.plan.along(axis), self.plan.sets_along(axis))
 
     def mean_image(self, index: int | None = None) -> NDArray[np.uint8]:
         """Give the scene under even light: the mean of a fringe set's frames, which is its offset.
@@ -254,7 +265,7 @@ class Recording:
             for frame in frames:
                 _add(frame[rows], total)
             if self.merged:
-                total /= self.merged.scale[rows]
+                total /= self._scale(None if index is None else sets[index])[rows]
             _round(total, divisor, mean[rows])
 
         with ThreadPoolExecutor() as threads:
@@ -285,7 +296,7 @@ class Recording:
         if white and black:
             levels = levels - mean_of([self.frames[k] for k in black], self.grey)
         if self.merged:
-            levels = levels / self.merged.scale
+            levels = levels / self._scale()
         return colours_at(levels, self.bayer, pixels)
 
     def _evenly_lit(self) -> Sequence[Image]:

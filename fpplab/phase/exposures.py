@@ -20,6 +20,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.core import buffers
 from fpplab.core.conventions import Floats, Image, full_scale, raw_per_grey
@@ -54,24 +55,45 @@ def merged_recording(recording: Recording, exposures_s: Sequence[float]) -> Reco
     """Merge the frames of a plan taken at several exposures, one plan after another; one stays as it is."""
     if len(exposures_s) == 1:
         return recording
-    shown = recording.plan.images
-    if len(recording.frames) != shown * len(exposures_s):
-        raise DataError(
-            f"{recording.name}: holds {len(recording.frames)} frames, but the plan takes {shown} at each of "
-            f"{len(exposures_s)} exposures; give all of them"
-        )
-    frames, levels, _ = merge_frames(recording.frames, recording.bits, exposures_s, recording.name)
+    plan = recording.plan
+    groups = {each: k for k, each in enumerate(dict.fromkeys(plan.exposures_by_set))}
+    by_set = [groups[each] for each in plan.exposures_by_set]
+    by_image = np.repeat(by_set, np.diff(plan.set_starts))
+    frames = _with_gaps(recording, len(exposures_s))
+    frames, levels, _ = merge_frames(frames, recording.bits, exposures_s, recording.name, by_image)
+    levels = replace(levels, scales=tuple(levels.scales[k] for k in by_set))
     return replace(recording, frames=frames, bits=_BITS, merged=levels)
 
 
+def _with_gaps(recording: Recording, exposures: int) -> Sequence[Image]:
+    """All images at all exposures: those that were not taken count as saturated."""
+    plan, frames = recording.plan, recording.frames
+    if len(frames) == plan.images * exposures:
+        return frames
+    if len(plan.passes) != exposures or len(frames) != plan.frames:
+        raise DataError(
+            f"{recording.name}: holds {len(frames)} frames, but the plan takes {plan.images} at each of "
+            f"{exposures} exposures; give all of them"
+        )
+    gap = np.full_like(frames[0], full_scale(recording.bits))
+    taken = iter(frames)
+    return [next(taken) if i in images else gap for images in plan.passes for i in range(plan.images)]
+
+
 def merge_frames(
-    frames: Sequence[Image], bits: int, exposures_s: Sequence[float], name: str
+    frames: Sequence[Image],
+    bits: int,
+    exposures_s: Sequence[float],
+    name: str,
+    groups: NDArray[np.intp] | None = None,
 ) -> tuple[list[Image], MergedLevels, ExposureModel]:
     """Merge the frames of several exposures, those of one after those of another, into frames of 16 bits."""
+    # groups (N,): images that share a scale; by default all
     model = exposure_model(frames, bits, exposures_s, name)
     (height, width), shown = frames[0].shape, len(frames) // len(exposures_s)
+    groups = np.zeros(shown, np.intp) if groups is None else groups
     merged = buffers.empty((shown, height * width), np.uint16)
-    scale = buffers.empty(height * width, np.float32)
+    scales = buffers.empty((int(groups.max()) + 1, height * width), np.float32)
     flat = [frame.reshape(-1) for frame in frames]
     unit = 2.0 ** (_BITS - bits) / EXPOSURES.headroom
     line, offset = (model.noise.constant, model.noise.per_level), model.offset
@@ -80,22 +102,25 @@ def merge_frames(
     def merge(start: int) -> None:
         part = slice(start, start + _BLOCK)
         levels = np.stack([frame[part] for frame in flat]).reshape(len(exposures_s), shown, -1)
-        _merge(levels, camera, merged[:, part], scale[part])
+        _merge(levels, camera, groups, merged[:, part], scales[:, part])
 
     with ThreadPoolExecutor() as pool:
         list(pool.map(merge, range(0, height * width, _BLOCK)))
     grey = 1.0 / raw_per_grey(bits)
     noise = grey**2 * (line[0] - line[1] * offset), grey * line[1]
-    of_light = MergedLevels(EXPOSURES.headroom, scale.reshape(height, width), noise)
+    of_light = MergedLevels(EXPOSURES.headroom, tuple(scales.reshape(-1, height, width)), noise)
     return [frame.reshape(height, width) for frame in merged], of_light, model
 
 
 @compiled
-def _merge(levels: Any, camera: Any, merged: Any, scale: Any) -> None:
-    # levels (J, N, P) raw; merged (N, P); scale (P,)
+def _merge(levels: Any, camera: Any, groups: Any, merged: Any, scales: Any) -> None:
+    # levels (J, N, P) raw; groups (N,); merged (N, P); scales (G, P)
     shares, black, constant, per_level, saturation, offset, unit = camera
     exposures, patterns, pixels = levels.shape
     mean, variance, weights = np.empty(patterns), np.empty(patterns), np.empty(exposures)
+    masks = np.empty((len(scales), patterns), np.bool_)
+    for g in range(len(scales)):
+        masks[g] = groups == g
     for p in range(pixels):
         light, collected = 0.0, 0.0
         for j in range(exposures):
@@ -106,7 +131,6 @@ def _merge(levels: Any, camera: Any, merged: Any, scale: Any) -> None:
         light = max(light / max(collected, 1e-30), 0.0)
         for j in range(exposures):
             weights[j] = shares[j] * shares[j] / (constant + per_level * shares[j] * light)
-        low, high, total, count = np.inf, -np.inf, 0.0, 0
         for n in range(patterns):
             weight, moment, fixed, rising = 0.0, 0.0, 0.0, 0.0
             for j in range(exposures):
@@ -116,32 +140,45 @@ def _merge(levels: Any, camera: Any, merged: Any, scale: Any) -> None:
                     moment += relative * (levels[j, n, p] - black)
                     fixed += relative * relative * constant
                     rising += relative * weights[j] * per_level
-            variance[n] = np.inf
+            mean[n], variance[n] = 0.0, np.inf
             if weight > 0.0:
                 mean[n] = moment / weight
                 variance[n] = (fixed + rising * max(mean[n], 0.0)) / (weight * weight)
-                low, high = min(low, mean[n]), max(high, mean[n])
-                total += mean[n]
-                count += 1
-        factor = 1.0
-        if count > 0:
-            spread = _spread(mean, variance, 0.5 * (low + high), 0.5 * (high - low))
-            rising = per_level * max(total / count, 0.0)
-            factor = 0.5 * (rising + np.sqrt(rising * rising + 4.0 * spread * constant)) / spread
-            if unit * (factor * high + offset) > _MISSING - 1:
-                factor = ((_MISSING - 1) / unit - offset) / high
-        scale[p] = factor
-        for n in range(patterns):
-            level = np.rint(unit * (factor * mean[n] + offset)) if np.isfinite(variance[n]) else _MISSING
-            merged[n, p] = np.uint16(max(level, 0.0))
+        for g in range(len(scales)):
+            factor = _factor(mean, variance, masks[g], camera)
+            scales[g, p] = factor
+            for n in range(patterns):
+                if masks[g, n]:
+                    level = unit * (factor * mean[n] + offset) if np.isfinite(variance[n]) else _MISSING
+                    merged[n, p] = np.uint16(max(np.rint(level), 0.0))
 
 
 @compiled
-def _spread(mean: Any, variance: Any, offset: float, amplitude: float) -> float:
+def _factor(mean: Any, variance: Any, chosen: Any, camera: Any) -> float:
+    """The scale at which a level of the camera has the variance of the means."""
+    _, _, constant, per_level, _, offset, unit = camera
+    low, high, total, count = np.inf, -np.inf, 0.0, 0
+    for n in range(len(mean)):
+        if chosen[n] and np.isfinite(variance[n]):
+            low, high = min(low, mean[n]), max(high, mean[n])
+            total += mean[n]
+            count += 1
+    if count == 0:
+        return 1.0
+    spread = _spread(mean, variance, chosen, 0.5 * (low + high), 0.5 * (high - low))
+    rising = per_level * max(total / count, 0.0)
+    factor = 0.5 * (rising + np.sqrt(rising * rising + 4.0 * spread * constant)) / spread
+    if unit * (factor * high + offset) > _MISSING - 1:
+        factor = ((_MISSING - 1) / unit - offset) / high
+    return float(factor)
+
+
+@compiled
+def _spread(mean: Any, variance: Any, chosen: Any, offset: float, amplitude: float) -> float:
     """Variance of the levels as it counts for a phase: those at crests and troughs say nothing of it."""
     total, counted = 0.0, 0.0
     for n in range(len(mean)):
-        if np.isfinite(variance[n]):
+        if chosen[n] and np.isfinite(variance[n]):
             away = (mean[n] - offset) / max(amplitude, 1e-30)
             weight = max(1.0 - away * away, EXPOSURES.min_slope)
             total += weight * variance[n]
@@ -201,6 +238,7 @@ class _Pair:
         # the mean of its noise.
         beside = long[..., 1]
         used = (long[..., 0] < saturation) & (beside < EXPOSURES.max_level * saturation)
+        used &= short[..., 0] < saturation  # as images seem that the shorter one did not take
         levels = short[..., 0][used].astype(np.float64), long[..., 0][used].astype(np.float64)
         bins = (EXPOSURES.bins / (EXPOSURES.max_level * saturation) * beside[used]).astype(np.intp)
         parts = [np.flatnonzero(bins == k) for k in range(EXPOSURES.bins)]

@@ -80,7 +80,8 @@ def frame_file(index: int, pattern: str) -> str:
 
 
 def pattern_ids(plan: Plan) -> list[str]:
-    return [name for _, _, name in plan.steps()] * len(plan.exposures)
+    names = [name for _, _, name in plan.steps()]
+    return [names[i] for images in plan.passes for i in images]
 
 
 def check_frame_place(

@@ -10,6 +10,7 @@ are refused.
 """
 
 import time
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -55,9 +56,15 @@ class RecordedSession:
         return self.session.records[0]
 
     def exposures(self) -> dict[float, int]:
-        """Give the index of the first frame of each exposure in s."""
-        images = self.session.plan.images
-        return {record.exposure_s: record.index // images * images for record in self.session.records}
+        """Give the place in the plan of each exposure in s that was recorded."""
+        starts = self.session.plan.pass_starts
+        return {record.exposure_s: bisect_right(starts, record.index) - 1 for record in self.session.records}
+
+    def frame_of(self, exposure_s: float, image: int) -> int:
+        k, plan = self.exposures()[exposure_s], self.session.plan
+        if image not in plan.passes[k]:
+            raise DataError(f"image {image} was not recorded at {exposure_s:g} s")
+        return plan.pass_starts[k] + plan.passes[k].index(image)
 
     def camera_offset(self) -> tuple[int, int] | None:
         origin = session_origin(self.session.path)
@@ -118,8 +125,8 @@ class ReplayCamera(Camera):
         shown = self._recording.shown
         if shown is None:
             raise FrameLossError(self.name, "read", "the projector is dark, and no dark frame was recorded")
-        index = self._recording.exposures()[self._configured("read").exposure_s] + shown
         try:
+            index = self._recording.frame_of(self._configured("read").exposure_s, shown)
             record = self._recording.session.record(index)
             image: Image = self._recording.session.read(index).copy()
         except DataError as error:

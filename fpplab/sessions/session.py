@@ -22,6 +22,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -487,7 +488,7 @@ class Session:
             return raw
         from fpplab.phase.exposures import merged_recording  # compiled code, for these sessions alone
 
-        starts = range(0, self.plan.frames, self.plan.images)
+        starts = self.plan.pass_starts[:-1]
         return merged_recording(raw, [self.record(first).exposure_s for first in starts])
 
     def passes(self, verify: bool = True) -> list[Recording]:
@@ -508,9 +509,11 @@ class Session:
         ConfigError, DataError
             As `recording`.
         """
-        raw, images = self._raw(verify), self.plan.images
-        starts = range(0, len(raw.frames), images)
-        return [replace(raw, frames=raw.frames[first : first + images]) for first in starts]
+        raw, plan = self._raw(verify), self.plan
+        return [
+            replace(raw, plan=plan.part_at(exposure_s), frames=raw.frames[first:end])
+            for exposure_s, (first, end) in zip(plan.exposures, pairwise(plan.pass_starts), strict=True)
+        ]
 
     def _raw(self, verify: bool, progress: Progress = no_progress) -> Recording:
         """All frames of all exposures, one after another."""

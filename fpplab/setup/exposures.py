@@ -66,7 +66,7 @@ class SceneLight:
         """Measure it: white, black and two fringes that are shifted by an angle, at every exposure."""
         merged, levels, model = merge_frames(frames, bits, exposures_s, "the scene")
         unit = raw_per_grey(16) / levels.headroom / raw_per_grey(bits)
-        scale = levels.scale * max(exposures_s)
+        scale = levels.scales[0] * max(exposures_s)
         white, black, first, second = (
             np.where(frame == np.iinfo(frame.dtype).max, np.inf, (frame / unit - model.offset) / scale)
             for frame in merged
@@ -203,6 +203,7 @@ def longest_exposure(plan: Plan, limits: ExposureLimits, seconds: float, other_s
 def measure_light(rig: Rig, plan: Plan, seconds: float) -> tuple[SceneLight, ExposureLimits, float]:
     """Take the ladder of exposures on an open rig."""
     # returns the light, the devices' limits, and s of a frame beside its exposure
+    plan.refuse_set_exposures("the choice of exposures")
     caps, finest = rig.projector.caps, plan.finest
     limits = ExposureLimits.by_devices(rig.camera.caps, caps, plan)
     patterns = make_patterns(plan, caps.size, caps.lattice)

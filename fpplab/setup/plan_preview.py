@@ -42,11 +42,11 @@ def preview_plan(
     ends = end_markers(plan, caps.size)
     patterns = [*make_patterns(plan, caps.size, caps.lattice), *ends]
     rig.projector.load(patterns)
-    timings = {}
-    for each in sorted(plan.exposures):
+    timings = []
+    for each in plan.exposures:
         exposure_s = camera.configure(rig.camera_settings(each, plan.bits)).exposure_s
-        timings[exposure_s] = planned_timing(rig, plan, patterns, exposure_s)
-    timing = timings[exposure_s]
+        timings.append((exposure_s, planned_timing(rig, plan, patterns, exposure_s)))
+    exposure_s, timing = max(timings, key=lambda each: each[0])
     preview = PlanPreview(
         trigger=plan.trigger,
         images=plan.frames,
@@ -58,7 +58,10 @@ def preview_plan(
         dark_s=timing.period_s - timing.light_s,
         period_s=timing.period_s,
         period_set_by=timing.limit,
-        least_s=len(patterns) * sum(each.period_s for each in timings.values()),
+        least_s=sum(
+            (len(images) + len(ends)) * each.period_s
+            for images, (_, each) in zip(plan.passes, timings, strict=True)
+        ),
         precision=plan_precision(
             plan, caps.size, noise, calibration, first_stated((plan.depth_mm, ""), (rig.file.depth_mm, ""))
         ),

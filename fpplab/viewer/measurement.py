@@ -121,7 +121,7 @@ class MeasurementView(CommandView):
         self.canvas.picture(IMAGE, eight_bits(frame.image, frame.bits))
         if self._shown_plan is not None:
             plan, size, lattice = self._shown_plan
-            index, step, _ = list(plan.steps())[frame.index % plan.images]
+            index, step, _ = list(plan.steps())[[i for images in plan.passes for i in images][frame.index]]
             self.canvas.picture(PATTERN, subsample_columns(pattern_image(plan, index, step, size, lattice)))
             self._collect(frame, plan, index, step)
 

@@ -190,7 +190,8 @@ def plan_seconds(rig: Rig, plan: Plan) -> float:
     """Compute how long the images of a plan take, by what the devices state of themselves."""
     camera = rig.camera.caps
     other_s = camera.readout_s + camera.dark_s + plan.settle_s
-    return plan.images * sum(exposure_s + other_s for exposure_s in plan.exposures)
+    passes = zip(plan.passes, plan.exposures, strict=True)
+    return sum(len(images) * (exposure_s + other_s) for images, exposure_s in passes)
 
 
 def choose_sampled_rows(item_mask: Mask, pixels: int, margin: int = MARGIN) -> tuple[Rows, Rows]:
@@ -232,13 +233,11 @@ class _Sampled:
 
     def measured(self, seed: int) -> tuple[Decoded, Cloud]:
         several = [self.rig.camera_settings(each, self.plan.bits) for each in self.plan.exposures]
-        frames = [
-            frame
-            for k, settings in enumerate(several)
-            for frame in self.sampler.frames(
-                self.item, self.patterns, settings, self.rows, seed + DRAWN_SCANS * k
-            )
-        ]
+        frames = list[Image]()
+        for k, (settings, images) in enumerate(zip(several, self.plan.passes, strict=True)):
+            whole = len(images) == len(self.patterns)  # whose light is computed once
+            shown = self.patterns if whole else tuple(self.patterns[i] for i in images)
+            frames += self.sampler.frames(self.item, shown, settings, self.rows, seed + DRAWN_SCANS * k)
         projector, name = self.calibration.projector, f"the sample of the {self.item}"
         size, lattice = projector.size, projector.lattice
         recording = Recording(

@@ -1,6 +1,7 @@
 """Reading plans: values, and refusal of invalid ones."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -132,6 +133,40 @@ def test_exposures_are_several_for_every_image(tmp_path: Path) -> None:
     assert plan_of(config.dump(several), tmp_path) == several
     with pytest.raises(ConfigError, match="plan: 'exposures_s' has 3 exposures, but a data set takes one"):
         several.refuse_exposures("a data set")
+
+
+SETS = {
+    "twice": ([0.02, 0.02], None, "names an exposure twice"),
+    "unlike finest": ([0.02], [0.08], "of the finest sets along x and y must be the same"),
+}
+
+
+@pytest.mark.parametrize(("first", "second", "complaint"), SETS.values(), ids=SETS.keys())
+def test_exposures_of_sets_that_do_not_fit_are_refused(first: Any, second: Any, complaint: str) -> None:
+    sets = [
+        {"axis": axis, "stripes": 1, "steps": 4, "exposures_s": own}
+        for axis, own in (("x", first), ("y", second))
+    ]
+    with pytest.raises(ConfigError, match=complaint):
+        config.validate({"fringes": sets}, Plan, "plan")
+    mixed = {"fringes": [{"kind": "even", "levels": [1]}, {**sets[0], "exposures_s": [0.02]}]}
+    with pytest.raises(ConfigError, match="needs a plan of fringes alone"):
+        config.validate(mixed, Plan, "plan")
+
+
+def test_exposures_of_sets_are_passes_over_some_images() -> None:
+    sets = [
+        {"axis": "x", "stripes": 1, "steps": 3, "exposures_s": [0.08]},
+        {"axis": "x", "stripes": 8, "steps": 4},
+    ]
+    plan = config.validate({"fringes": sets, "exposures_s": [0.02, 0.08]}, Plan, "plan")
+    assert plan.exposures == (0.08, 0.02)
+    assert plan.passes == (tuple(range(7)), (3, 4, 5, 6))
+    assert (plan.pass_starts, plan.frames) == ((0, 7, 11), 11)
+    assert plan.part_at(0.08) is plan
+    assert plan.part_at(0.02).sets == plan.sets[1:]
+    with pytest.raises(ConfigError, match="set has its own 'exposures_s', but a search takes those of the"):
+        plan.refuse_set_exposures("a search")
 
 
 @pytest.mark.parametrize("wrong", ["[0.02]", "[0.02, 0.02]", "[0.02, 0]", "0.02", "[0.02, long]"])

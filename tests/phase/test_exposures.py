@@ -113,3 +113,26 @@ def test_a_camera_whose_levels_are_not_in_proportion_is_refused() -> None:
         merged_recording(replace(raw, frames=bent), EXPOSURES_S)
     with pytest.raises(DataError, match="holds 35 frames, but the plan takes 12 at each of 3 exposures"):
         merged_recording(replace(raw, frames=raw.frames[1:]), EXPOSURES_S)
+
+
+def test_sets_have_exposures_of_their_own() -> None:
+    """Coarse fringes have fewer exposures than fine ones: what is stated is by each set's own noise."""
+    coarse = {**FRINGES[0], "exposures_s": [0.003, 0.3]}
+    short = {**FRINGES[1], "stripes": 3, "exposures_s": [0.03]}
+    plan, random = plan_of([coarse, short, FRINGES[1]]), np.random.default_rng(7)
+    assert plan.exposures == (0.003, 0.3, 0.03)
+    assert [len(images) for images in plan.passes] == [12, 12, 16]
+    frames = []
+    for exposure_s, images in zip(plan.exposures, plan.passes, strict=True):
+        taken = frames_at(plan, exposure_s, random)
+        frames += [taken[i] for i in images]
+    merged = merged_recording(Recording(frames, plan, SIZE), plan.exposures)
+    assert merged.merged is not None
+    assert not np.allclose(merged.merged.scales[0], merged.merged.scales[2])
+    decoded = decode(merged)
+    seen = decoded.valid & (np.abs(decoded.u - coordinate()) < 2.0)
+    assert (decoded.valid & ~seen).mean() < 1e-3
+    errors = ((decoded.u - coordinate()) / decoded.sigma)[seen]
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.08)
+    own = merged.mean_image(0).astype(float)[seen]
+    np.testing.assert_allclose(np.median(own / merged.mean_image(2)[seen]), 1.0, atol=0.05)

@@ -61,6 +61,27 @@ def test_every_exposure_is_measured_again(tmp_path: Path) -> None:
     assert Session.open(again.path).missing() == []
 
 
+def test_sets_of_other_exposures_are_measured_again(tmp_path: Path) -> None:
+    """Frames that no exposure took are missing from its pass, and from nothing else."""
+    sets = [PLAN.sets[0], PLAN.fringes[0].model_copy(update={"stripes": 2, "exposures_s": (0.08, 0.02)})]
+    plan = PLAN.model_copy(update={"fringes": tuple(sets), "exposure_s": 0.02})
+    ids = [name for _, _, name in plan.steps()]
+    recorded = Session.create(tmp_path / "recorded", plan)
+    assert (plan.exposures, plan.frames) == ((0.02, 0.08), 12)
+    shown = [(each, i) for each, images in zip(plan.exposures, plan.passes, strict=True) for i in images]
+    for index, (exposure_s, image) in enumerate(shown):
+        taken = replace(frame(0, image=image_of(index)), index=index, settings=CameraSettings(exposure_s))
+        recorded.write(replace(taken, pattern_id=ids[image]))
+    with rig_of(tmp_path) as rig:
+        again = Session.create(tmp_path / "again", plan, rig.described())
+        acquire(rig, plan, again)
+    for index, (exposure_s, _) in enumerate(shown):
+        assert again.record(index).exposure_s == exposure_s
+        np.testing.assert_array_equal(again.read(index), image_of(index))
+    assert [len(each.frames) for each in again.passes()] == [8, 4]
+    assert Session.open(again.path).missing() == []
+
+
 def test_new_frames_are_not_read_back_for_their_checksums(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

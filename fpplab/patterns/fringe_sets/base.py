@@ -32,6 +32,7 @@ MAX_PATTERN_BITS = 8
 
 PatternBits = Annotated[int, Field(ge=1, le=MAX_PATTERN_BITS)]
 Width = Annotated[int, Field(gt=1)]
+ExposureTime = Annotated[float, Field(gt=0, le=60)]  # in s
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,6 +251,9 @@ class PeriodicSet(CodeSet):
 
 class FringeSet(PeriodicSet):
     """One set of fringe images, which together give a phase: its shifts are balanced (`Demodulation`)."""
+
+    exposures_s: Annotated[tuple[ExposureTime, ...] | None, Field(min_length=1, max_length=8)] = None
+    """Exposures of the set's images in s, in place of those of the plan; of plans of fringes alone."""
 
     @property
     def phase_noise(self) -> float:
