@@ -8,7 +8,9 @@ from scipy.special import erfc
 from fpplab.core.conventions import Axis, Floats, Map
 from fpplab.patterns.plan import Plan
 from fpplab.phase.alternatives import alternatives_of
+from fpplab.phase.coded_axes import axes_by_codes, axes_with_orders, coded_coordinate
 from fpplab.phase.decoded import Decoded
+from fpplab.phase.limits import CODES
 from fpplab.phase.precision import coordinate_spread
 from fpplab.phase.unwrapping import wavelength_sequence
 
@@ -22,11 +24,20 @@ def order_risk(
     """Estimate the probability that noise gives a pixel a wrong fringe order, from its uncertainty."""
     # projector_size (width, height) px; returns (height, width)
     risk = np.where(decoded.valid, np.float32(0.0), np.float32(np.nan))
+    by_codes, with_orders = axes_by_codes(plan, projector_size), axes_with_orders(plan, projector_size)
+    for axis in by_codes:  # of the usual pixel; those whose code is uncertain are not valid
+        sigma = decoded.sigma if axis == plan.axes[0] else decoded.sigma * np.float32(decoded.v_per_u)
+        small = CODES.noise_share
+        usual = small * float(np.nanmedian(sigma)) / coded_coordinate(plan, axis, projector_size, small)[0]
+        risk = np.maximum(risk, np.float32(coded_coordinate(plan, axis, projector_size, usual)[1]))
+    fringes = plan.fringe_part
     for axis in plan.unwrapped_axes:
+        if fringes is None or axis in by_codes or axis in with_orders:
+            continue
         # Uncertainty of the first coded axis, and from it the noise of a grey level over its modulation.
         sigma = decoded.sigma if axis == plan.axes[0] else decoded.sigma * np.float32(decoded.v_per_u)
-        noise = sigma / coordinate_spread(plan, axis, projector_size)
-        of_axis = wrong_order_chance(plan, axis, noise, (interval_shares or {}).get(axis))
+        noise = sigma / coordinate_spread(fringes, axis, projector_size)
+        of_axis = wrong_order_chance(fringes, axis, noise, (interval_shares or {}).get(axis))
         risk = np.maximum(risk, of_axis.astype(np.float32))
     return risk
 

@@ -44,9 +44,14 @@ def split_of(index: int) -> str:
     return SPLITS[index % len(SPLITS)]
 
 
-def dataset_fields(bits: int) -> dict[str, FieldSpec]:
+def dataset_fields(bits: int, dimensions: dict[str, int]) -> dict[str, FieldSpec]:
+    """Fields of every sample; those of fringe sets only where the plan has such."""
     frames = "|u1" if bits <= 8 else "<u2"
-    return {f.name: FieldSpec(**{**asdict(f), "dtype": frames}) if f.name == FRAMES else f for f in FIELDS}
+    return {
+        f.name: FieldSpec(**{**asdict(f), "dtype": frames}) if f.name == FRAMES else f
+        for f in FIELDS
+        if 0 not in f.extent(dimensions)
+    }
 
 
 def make_card(

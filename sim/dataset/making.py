@@ -19,7 +19,7 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.phase import check_unwrapping, decode, wrapped_phase
+from fpplab.phase import check_codes, check_unwrapping, decode, wrapped_phase
 from sim.bench import VirtualBench
 from sim.dataset.card import dataset_fields, make_card, prepare_folder, split_of
 from sim.dataset.labels import Labels, trace_labels
@@ -47,25 +47,26 @@ def sample_arrays(
     # frames (height, width)
     devices = truth.calibration
     size = devices.projector.size
-    recording = Recording(frames, plan, size, bits)
+    recording = Recording(frames, plan, size, bits, lattice=devices.projector.lattice)
     decoded = decode(recording)
+    fringes = plan.fringe_part.fringes if plan.fringe_part else ()
     wrapped = [
-        wrapped_phase(recording.of_set(index), fringe).phase for index, fringe in enumerate(plan.fringes)
+        wrapped_phase(recording.of_set(index), fringe).phase
+        for index, fringe in zip(plan.fringe_indices, fringes, strict=True)
     ]
     coordinates = {"x": labels.u, "y": labels.v}
     absolute = [
         phase_of_coordinate(coordinates[f.axis].astype(np.float64), f.stripes, axis_length(size, f.axis))
-        for f in plan.fringes
+        for f in fringes
     ]
-    return {
+    phases: Arrays = {"wrapped_phase": np.array(wrapped), "absolute_phase": np.array(absolute, np.float32)}
+    return (phases if fringes else {}) | {
         FRAMES: np.stack(frames),
         "exposure_s": np.array(exposure_s),
-        "wrapped_phase": np.stack(wrapped),
         "decoded_u": decoded.u,
         "decoded_v": decoded.v,
         "decoded_sigma": decoded.sigma,
         "modulation": decoded.modulation,
-        "absolute_phase": np.stack(absolute).astype(np.float32),
         "projector_u": labels.u,
         "projector_v": labels.v,
         "depth": labels.depth,
@@ -101,16 +102,17 @@ class DatasetMaker:
     """Makes the samples of a data set on an open rig that is a simulation, in any order."""
 
     def __init__(self, rig: Rig, request: DatasetRequest) -> None:
-        check_unwrapping(request.plan, "plan")
-        request.plan.refuse_exposures("a data set")
         caps = rig.projector.caps
+        check_unwrapping(request.plan, "plan")
+        check_codes(request.plan, caps.size, "plan")
+        request.plan.refuse_exposures("a data set")
         self._patterns = make_patterns(request.plan, caps.size, caps.lattice)
         _check_ranges(rig, request.scenes)
         self._rig, self._request = rig, request
         self._studio = _arrangeable(rig).studio()
         self._bits = rig.camera_settings(request.plan.exposure_s, request.plan.bits).bits
-        self._fields = dataset_fields(self._bits)
         self._dimensions = dimension_sizes(request.plan, rig.camera.caps.size)
+        self._fields = dataset_fields(self._bits, self._dimensions)
         if rig.stage is not None:
             rig.stage.home()
 

@@ -82,7 +82,7 @@ FIELDS = (
 def dimension_sizes(plan: Plan, size: tuple[int, int]) -> dict[str, int]:
     """Look up the lengths that the letters in `FieldSpec.shape` stand for."""
     # size (int, int)
-    return {"N": plan.images, "S": len(plan.fringes), "h": size[1], "w": size[0]}
+    return {"N": plan.images, "S": len(plan.fringe_indices), "h": size[1], "w": size[0]}
 
 
 CHECKSUMS, SCENES = "sha256.json", "scenes.jsonl"

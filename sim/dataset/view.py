@@ -47,7 +47,8 @@ class SampleView(CommandView):
         image = arrays[FRAMES].astype(np.float32)
         bright = max(float(np.percentile(image, 99.8)), 1.0)
         self.canvas.map("sample/camera", image, ColourScale("Raw level", "", "gray", 0.0, bright))
-        for name, (title, unit, colours) in SHOWN.items():
+        for name in SHOWN.keys() & arrays.keys():
+            title, unit, colours = SHOWN[name]
             scale = ColourScale.spanning(title, unit, colours, arrays[name])
             if name == "wrapped_phase":
                 scale = ColourScale(title, unit, colours, 0.0, TWO_PI)
@@ -60,8 +61,9 @@ class SampleView(CommandView):
 
 def sample_observer(viewer: Viewer[SampleView]) -> SampleObserver:
     def observe(arrays: Arrays, record: dict[str, Any]) -> None:
-        shown = {name: subsample_columns(arrays[name]).copy() for name in SHOWN if name != "wrapped_phase"}
-        shown["wrapped_phase"] = subsample_columns(arrays["wrapped_phase"][-1]).copy()
+        shown = {name: subsample_columns(arrays[name]).copy() for name in SHOWN if name in arrays}
+        if "wrapped_phase" in shown:
+            shown["wrapped_phase"] = subsample_columns(arrays["wrapped_phase"][-1]).copy()
         shown["normals"] = subsample_columns(np.moveaxis(arrays["normals"], 0, -1)).copy()
         shown[FRAMES] = subsample_columns(arrays[FRAMES][-1]).copy()
         viewer.show_one_of_many(SampleView.sample, shown, record)

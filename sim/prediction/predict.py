@@ -19,7 +19,7 @@ from fpplab.clouds import Cloud
 from fpplab.clouds.cloud import CloudPoints
 from fpplab.comparison.alignment import LIMITS, AlignmentMesh, refine_pose
 from fpplab.core import config
-from fpplab.core.conventions import Floats, Image, Map, Mask
+from fpplab.core.conventions import Floats, Image, Map, Mask, axis_length
 from fpplab.core.depth import first_stated
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.geometry import RigidTransform
@@ -67,7 +67,7 @@ class Prediction:
     figures: dict[str, FigureInterval]  # by attribute of `MeasuredFigures`, `place_um` and `seconds`
     images: int  # number of images
     pixels: int  # number of pixels on the item that were simulated
-    stripes: float  # of the finest fringes
+    stripes: float  # of the finest patterns
     discrepancy: Discrepancy | None  # that the intervals contain; None for a rig that is no matched twin
     surface: PartSurface | None = None  # of the item as it was matched to a scan; None where it was not
     surface_known: bool = True  # whether it was matched, a part of its material compared, or it is the truth
@@ -121,13 +121,14 @@ def predict(
     decoded, cloud = draws[0]
     noise = coordinate_noise(decoded)
     bounds, size = study.bounds, known.projector.size
+    finest = max(each.finest_stripes(axis_length(size, each.coded_axis or "x")) for each in plan.sets)
     by_surface = noise_by_surface(rig.simulation.world, item, discrepancy)
     figures = figure_intervals(
         [figures_of(*draw, shape, plan, bounds, size) for draw in draws],
         calibration_effects(cloud, shape, known, noise, pose),
         discrepancy or Discrepancy(),
         by_surface,
-        plan.most_stripes,
+        finest,
     )
     off_mm = 1e-3 * figures["distance_um"].value * distance_sigma(discrepancy or Discrepancy())
     lengths = predicted_lengths([cloud for _, cloud in draws], shape, known, noise, off_mm)
@@ -139,7 +140,7 @@ def predict(
         lengths=lengths,
         images=plan.frames,
         pixels=int(np.count_nonzero(shape.counted)),
-        stripes=plan.most_stripes,
+        stripes=finest,
         discrepancy=discrepancy,
         surface=surface,
         surface_known=len(by_surface) == 1 or surface is not None,

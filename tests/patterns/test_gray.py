@@ -41,3 +41,14 @@ def test_cells_that_the_bits_cannot_number_are_refused() -> None:
     assert "1025 cells of 1 px need at least 11" in str(Gray(axis="x", bits=10).fault(1025))
     assert "needs" not in str(Gray(axis="x", bits=10, cell_px=2.0).fault(1824))
     assert "at least one pixel" in str(Gray(axis="x", bits=10, cell_px=0.5).fault(100))
+
+
+@pytest.mark.parametrize("inverses", ["none", "each", "after"])
+def test_the_other_order_is_that_of_the_finest_bit_first(inverses: str) -> None:
+    code, other = (
+        Gray.model_validate({"axis": "x", "bits": 5, "inverses": inverses, "least_first": first})
+        for first in (False, True)
+    )
+    ((meaning, order),) = code.other_orders()
+    assert "least_first: true" in meaning
+    np.testing.assert_array_equal(words(other, 32), words(code, 32)[order])

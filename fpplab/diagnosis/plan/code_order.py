@@ -14,7 +14,6 @@ from fpplab.core.config import Positive
 from fpplab.core.conventions import Axis
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits, LimitsSection
 from fpplab.patterns.fringe_sets import FringeSet
-from fpplab.patterns.fringe_sets.gray import Gray
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase.code_decoding import sampled_likelihood
@@ -56,19 +55,11 @@ def _rivals(plan: Plan, axis: Axis, sets: tuple[int, ...]) -> Iterator[tuple[str
     yield "", stated
     at = {image: n for n, image in enumerate(images)}
     for k in sets:
-        code = plan.sets[k]
-        if isinstance(code, Gray):
-            own = np.array([at[k, step] for step in range(code.images)])
-            bits = code.bits if code.inverses != "each" else 2 * code.bits
-            turned = own.copy()
-            for first in range(0, code.images, bits):
-                part = own[first : first + bits]
-                pairs = part.reshape(-1, 2 if code.inverses == "each" else 1)[::-1]
-                turned[first : first + bits] = pairs.ravel()
+        own = np.array([at[k, step] for step in range(plan.sets[k].images)])
+        for meaning, turned in plan.sets[k].other_orders():
             order = stated.copy()
-            order[own] = turned
-            other = "true" if not code.least_first else "false"
-            yield f"the Gray code comes the other way round; write 'least_first: {other}'", order
+            order[own] = own[turned]
+            yield meaning, order
     of_codes = [image for image in images if not isinstance(plan.sets[image[0]], FringeSet)]
     for pair in combinations(of_codes, 2):
         order = stated.copy()

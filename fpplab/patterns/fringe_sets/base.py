@@ -9,11 +9,12 @@ docstrings). Plans, decoding and the proof of synchronisation take it through th
 """
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from fpplab.core.config import Document
@@ -159,6 +160,33 @@ class PatternSet(Document):
         name = "-".join(filter(None, (self.coded_axis, self.short_name)))
         return f"{index:02d}-{name}-{step:03d}of{self.images}"
 
+    def other_orders(self) -> Iterator[tuple[str, NDArray[np.int64]]]:
+        """Give orders in which other programs show such images.
+
+        Yields
+        ------
+        str
+            What it means, and what to write in the plan.
+        ndarray of int64, (N,)
+            Indices of the images.
+        """
+        yield from ()
+
+    def finest_stripes(self, length: int) -> float:
+        """Give how fine the set is: periods of its finest pattern across the projector.
+
+        Parameters
+        ----------
+        length : int
+            Of the projector along the coded axis in px.
+
+        Returns
+        -------
+        float
+            By default half of the pixels, which is the finest that there is.
+        """
+        return length / 2.0
+
     @property
     @abstractmethod
     def short_name(self) -> str:
@@ -233,6 +261,10 @@ class PeriodicSet(CodeSet):
         """Give cosine and sine of every harmonic at every image, (N, 2 * harmonics)."""
         shift = np.outer(self.phase_shifts(), np.arange(1, harmonics + 1))
         return np.asarray(np.stack([np.cos(shift), np.sin(shift)], axis=-1).reshape(self.images, -1))
+
+    def finest_stripes(self, length: int) -> float:
+        """Give its stripes."""
+        return self.stripes
 
     @property
     def short_name(self) -> str:

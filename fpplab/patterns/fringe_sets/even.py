@@ -27,6 +27,10 @@ class Even(PatternSet):
         """Give the level of the image everywhere."""
         return np.full(np.shape(coordinate), self.levels[step])
 
+    def finest_stripes(self, length: int) -> float:
+        """Give 0: it has no pattern."""
+        return 0.0
+
     @property
     def short_name(self) -> str:
         """`even`."""

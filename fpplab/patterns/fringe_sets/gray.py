@@ -1,8 +1,10 @@
 """Reflected Gray code: black and white stripes whose levels number the cells along an axis."""
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from fpplab.core.conventions import Floats
@@ -58,6 +60,17 @@ class Gray(CodeSet):
         order = [2 * k + i for i in (0, 1) for k in range(self.bits)]
         both = np.concatenate([bits, -bits])
         return np.asarray(both[np.argsort(order)] if self.inverses == "each" else both)
+
+    def other_orders(self) -> Iterator[tuple[str, NDArray[np.int64]]]:
+        """Give the bits the other way round."""
+        images = np.arange(self.images).reshape(-1, self.bits, 2 if self.inverses == "each" else 1)
+        other = "false" if self.least_first else "true"
+        meaning = f"the Gray code comes the other way round; write 'least_first: {other}'"
+        yield meaning, images[:, ::-1].ravel()
+
+    def finest_stripes(self, length: int) -> float:
+        """Give the periods of the finest bit, of four cells each."""
+        return length / (4.0 * self.cell_px)
 
     @property
     def short_name(self) -> str:

@@ -53,6 +53,10 @@ class Modulated(CodeSet):
         )
         return np.asarray(0.5 + 0.5 * wave * carrier)
 
+    def finest_stripes(self, length: int) -> float:
+        """Give the stripes of the sum of both."""
+        return self.stripes + self.carrier_stripes
+
     @property
     def short_name(self) -> str:
         """Its stripes and those of the carrier."""
@@ -60,8 +64,7 @@ class Modulated(CodeSet):
 
     def fault(self, length: int) -> str | None:
         """Refuse a sum of both that the projector cannot resolve."""
-        finest = self.stripes + self.carrier_stripes
-        if finest <= length / 2:
+        if self.finest_stripes(length) <= length / 2:
             return None
         return (
             f"carrier_stripes' is {self.carrier_stripes:g}: with {self.stripes:g} stripes more "

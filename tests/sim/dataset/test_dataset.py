@@ -58,13 +58,13 @@ contrast is low and noise high, for the print to shift the phase by less than th
 
 @contextmanager
 def opened(
-    folder: Path, scenes: SceneRanges = BOARDS, samples: int = 5, **options: Any
+    folder: Path, scenes: SceneRanges = BOARDS, samples: int = 5, plan: Plan = PLAN, **options: Any
 ) -> Iterator[DatasetMaker]:
     """Make small samples, two to a shard."""
     write_world(folder, plain(render={"subpixels": 3}))
     (folder / "rig.yaml").write_text(RIG_OF_BOARDS)
     with Rig.load(folder / "rig.yaml") as rig:
-        wanted = DatasetRequest(PLAN, scenes, samples, **{"seed": 3, "shard_size": 2, **options})
+        wanted = DatasetRequest(plan, scenes, samples, **{"seed": 3, "shard_size": 2, **options})
         yield DatasetMaker(rig, wanted)
 
 
@@ -144,6 +144,23 @@ def check_noise(deviations: np.ndarray[Any, Any]) -> None:
     assert 0.6 < 1.4826 * np.median(np.abs(deviations)) < 1.7
     for part in np.array_split(deviations, 4):
         assert abs(np.median(part)) < 6 * 1.2533 / np.sqrt(len(part)) + 0.02
+
+
+@pytest.mark.whole
+def test_codes_of_other_kinds_are_labelled_too(tmp_path: Path) -> None:
+    codes: list[dict[str, Any]] = [
+        {"kind": "even", "levels": [1, 0]},
+        {"kind": "gray", "axis": "x", "bits": 7, "cell_px": 8},
+    ]
+    fringes = {"axis": "x", "stripes": 57, "steps": 4}
+    for sets, names in (([*codes, fringes], 1), ([{**codes[1], "bits": 9, "cell_px": 2}, codes[0]], 0)):
+        plan = config.validate({"fringes": sets}, Plan, "plan")
+        with opened(tmp_path, samples=1, plan=plan) as maker:
+            sample, _ = maker.sample(0)
+        good = binary_erosion(sample["mask"], iterations=8) & np.isfinite(sample["decoded_sigma"])
+        assert good.sum() > 500
+        check_noise(((sample["decoded_u"] - sample["projector_u"]) / sample["decoded_sigma"])[good])
+        assert len(sample.get("absolute_phase", [])) == names
 
 
 def test_labels_are_those_of_an_independent_ray_caster() -> None:

@@ -66,10 +66,28 @@ def measured(rig: Rig, plan: Plan, item: str) -> MeasuredFigures:
     for index in range(len(patterns)):
         rig.projector.show(index)
         frames.append(rig.camera.snap().image)
-    decoded = decode(Recording(frames, plan, caps.size, settings.bits))
+    decoded = decode(Recording(frames, plan, caps.size, settings.bits, lattice=caps.lattice))
     decoded, cloud = points_of(decoded, known, plan)
     placed = mesh.copy().apply_transform(align_mesh(cloud.points.astype(float), mesh).transform.matrix)
     return figures_of(decoded, cloud, SeenShape.of(placed, known), plan, None, caps.size)
+
+
+CODES = [
+    {"kind": "even", "levels": [1, 0]},
+    {"kind": "gray", "axis": "x", "bits": 10},
+    {"kind": "shifted", "axis": "x", "stripes": 30, "shifts_deg": [0]},
+]
+
+
+@pytest.mark.whole
+def test_codes_of_other_kinds_are_predicted_as_measured(rig: Rig) -> None:
+    plan = config.validate({"fringes": CODES, "exposure_s": 0.02}, Plan, "plan")
+    found, whole = predict(rig, plan, ITEM), measured(rig, plan, ITEM)
+    assert found.figures["distance_um"].value == pytest.approx(whole.distance_um, rel=0.05)
+    assert found.figures["noise_um"].value == pytest.approx(whole.noise_um, rel=0.05)
+    assert found.figures["completeness"].value == pytest.approx(whole.completeness, rel=0.03)
+    assert found.figures["wrong_order"].value < 1e-3
+    assert found.stripes == 912 / 4
 
 
 @pytest.mark.whole
