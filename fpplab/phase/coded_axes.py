@@ -62,11 +62,13 @@ def axes_with_orders(plan: Plan, size: tuple[int, int]) -> dict[Axis, list[float
     return periods
 
 
-def coded_coordinate(plan: Plan, axis: Axis, size: tuple[int, int], noise: float) -> tuple[float, float]:
+def coded_coordinate(
+    plan: Plan, axis: Axis, size: tuple[int, int], noise: float, blur_px: float = CODES.usual_blur_px
+) -> tuple[float, float]:
     """Uncertainty in px of a coordinate that all sets of an axis tell together, and the chance of another."""
     # noise of a grey level, as a share of the modulation
     kinds = tuple(plan.sets[k] for k in sets_of_axis(plan, axis, with_fringes=True))
-    table = code_table(kinds, axis, size, Lattice.SQUARE, CODES.usual_blur_px)
+    table = code_table(kinds, axis, size, Lattice.SQUARE, blur_px)
     return code_uncertainty(table, noise, CODES.apart_px)
 
 

@@ -15,6 +15,8 @@ from fpplab.core.errors import ConfigError
 from fpplab.diagnosis.points import triangulation_angles_deg
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.plan import Plan
+from fpplab.phase.coded_axes import axes_by_codes, coded_coordinate
+from fpplab.phase.limits import CODES
 from fpplab.phase.quality import coordinate_uncertainty
 from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.setup.live.regions import REGIONS, region_medians
@@ -164,12 +166,21 @@ class WorkingPoint:
         variance = sample.errors.noise.variance(widest.offset) - sample.errors.noise.repeated(widest.offset)
         noise = region_medians(np.sqrt(np.maximum(variance, 0.0)), lit)
         square_px = _blur_square(sample, contrast)
-        information = np.zeros(REGIONS)
+        information, fringes = np.zeros(REGIONS), self.plan.fringe_part
+        size = self.geometry.calibration.projector.size
+        by_codes = axes_by_codes(self.plan, size)
         for axis in self.plan.axes:
-            length = axis_length(self.geometry.calibration.projector.size, axis)
-            along = self.px_per_mm[..., AXES.index(axis)]
-            for k in self.plan.sets_along(axis):
-                fringe = self.plan.fringes[k]
+            length, along = axis_length(size, axis), self.px_per_mm[..., AXES.index(axis)]
+            if axis in by_codes:
+                blur_px = float(np.sqrt(np.nanmedian(square_px)))
+                tabulated = min(CODES.blurs_px, key=lambda each: abs(each - blur_px))
+                small = CODES.noise_share
+                per_noise = coded_coordinate(self.plan, axis, size, small, tabulated)[0] / small
+                information += np.square(along * modulation / (per_noise * noise))
+                continue
+            assert fringes is not None  # without codes
+            for k in fringes.sets_along(axis):
+                fringe = fringes.fringes[k]
                 reduced = modulation * np.exp(-2.0 * square_px * (math.pi * fringe.stripes / length) ** 2)
                 sigma = coordinate_uncertainty(fringe.phase_noise * noise / reduced, fringe.stripes, length)
                 information += np.square(along / sigma)

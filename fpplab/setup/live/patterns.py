@@ -7,7 +7,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Lattice
+from fpplab.core.conventions import Lattice, axis_length
 from fpplab.core.errors import CapabilityError
 from fpplab.devices import Projector, ProjectorCaps
 from fpplab.patterns.fringe_sets import Sinusoid
@@ -44,6 +44,7 @@ class LivePatterns:
 
 
 def live_patterns(plan: Plan, caps: ProjectorCaps) -> Iterator[LivePatterns]:
+    plan = plan.fringe_part or _as_fine_fringes(plan, caps.size)
     yield _with_stills(_short_plan(plan), caps)
     yield _of_cycle(_widest_and_finest_sets(plan), caps)
 
@@ -58,6 +59,15 @@ def loaded_patterns(plan: Plan, projector: Projector) -> LivePatterns:
         return choice
     projector.load(choices[-1].patterns)
     return choices[-1]
+
+
+def _as_fine_fringes(plan: Plan, size: tuple[int, int]) -> Plan:
+    """Sinusoids along the first axis of codes, as fine as these."""
+    axis = plan.axes[0]
+    length = axis_length(size, axis)
+    finest = max(each.finest_stripes(length) for each in plan.sets if each.coded_axis == axis)
+    pair = tuple(Sinusoid(axis=axis, stripes=stripes, steps=4) for stripes in (1.0, finest))
+    return plan.model_copy(update={"fringes": pair})
 
 
 def _widest_and_finest_sets(plan: Plan) -> Plan:

@@ -91,8 +91,11 @@ def test_the_coordinates_change_along_the_ray() -> None:
     assert per_mm[..., 1] == pytest.approx(0.0, abs=0.02)
 
 
+GRAY = [{"kind": "even", "levels": [1, 0]}, {"kind": "gray", "axis": "x", "bits": 7, "cell_px": 2}]
+
+
 # Darker images are rounded so coarsely that a scan states more, for neighbours are rounded alike.
-@pytest.mark.parametrize(("exposure_s", "axes"), [(0.02, "x"), (0.01, "xy")])
+@pytest.mark.parametrize(("exposure_s", "axes"), [(0.02, "x"), (0.01, "xy"), (0.02, "")])
 def test_the_expected_noise_is_that_of_a_scan(exposure_s: float, axes: str, tmp_path: Path) -> None:
     """The plan has more steps and a set between those that the set-up shows; fringes are blurred."""
     sets = [
@@ -100,7 +103,7 @@ def test_the_expected_noise_is_that_of_a_scan(exposure_s: float, axes: str, tmp_
         for axis in axes
         for s, n in ((1, 4), (6, 5), (38 if axis == "x" else 20, 9))
     ]
-    plan = config.validate({"fringes": sets, "exposure_s": exposure_s}, Plan, "plan")
+    plan = config.validate({"fringes": sets or GRAY, "exposure_s": exposure_s}, Plan, "plan")
     path = rig_file(tmp_path, projector={"blur": 1.0})
     world = Rig.load(path)
     with world:
@@ -120,4 +123,4 @@ def test_the_expected_noise_is_that_of_a_scan(exposure_s: float, axes: str, tmp_
     operate(path, operator, plan=plan, working=WorkingPoint(RigGeometry(known), plan, 450.0))
     noise_um = operator.seen[-1].noise_um
     assert noise_um is not None
-    assert overall_median(noise_um) == pytest.approx(found, rel=0.07)
+    assert overall_median(noise_um) == pytest.approx(found, rel=0.07 if axes else 0.15)
