@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
+from fpplab.diagnosis.causes.motion import MOTION, describe_motion, unseen_motion
 from fpplab.diagnosis.causes.wrong_plan import EXCESS, WRONG_PLAN
 from fpplab.diagnosis.codes import NOT_SHOWN, criteria_of_codes, findings_on_geometry, lit_pixels
 from fpplab.diagnosis.criteria import CriteriaLimits, Criterion, criteria_of, left_out
@@ -187,6 +188,7 @@ def diagnose_scan(
         judged = Diagnosis(Verdict.USELESS, "there are no points", findings)
     else:
         unknown = _unknown(recording, decoded, cloud, geometry)
+        unknown += tuple(filter(None, [unseen_motion(evidence)]))
         seeing = evidence.frames.estimate_pixels_seeing_fringes(cloud)
         counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"
         judged = _judge_findings(recording, limits, (len(cloud), seeing), counted, findings, unknown)
@@ -194,7 +196,17 @@ def diagnose_scan(
         if judged.verdict is Verdict.GOOD and geometry and geometry.doubt:
             reason = f"{counted}; geometry not verified: {geometry.doubt.reason}; {geometry.doubt.remedy}"
             judged = replace(judged, verdict=Verdict.UNVERIFIED, reason=reason)
+        judged = _with_motion(judged, evidence)
     return replace(_with_islands(judged, decoded), changed_limits=limits.changes())
+
+
+def _with_motion(judged: Diagnosis, evidence: Evidence) -> Diagnosis:
+    """Say how parts moved, also where their frames are compensated."""
+    motion = evidence.recording.motion if evidence.recording else None
+    if motion is None or (judged.findings and judged.findings[0].cause == MOTION):
+        return judged
+    told = (describe_motion(evidence, part) for part in motion.parts)
+    return replace(judged, reason="; ".join([judged.reason, *told]))
 
 
 def _with_islands(judged: Diagnosis, decoded: Decoded) -> Diagnosis:

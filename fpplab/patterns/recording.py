@@ -19,6 +19,7 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.mosaic import Bayer, colours_at, mean_of, without_mosaic
+from fpplab.patterns.motion import Compensation
 from fpplab.patterns.phase_error import relative_harmonics
 from fpplab.patterns.plan import Plan
 
@@ -85,6 +86,10 @@ class Recording:
         Where the frames are merged from several exposures; one frame for each image of the plan.
     bayer : str or None
         Colours of the camera's filter, such as "RGGB"; None of a camera without. Frames are not interpolated.
+    times_s : tuple of float
+        When each frame was taken; empty where nobody knows, and frames follow evenly.
+    motion : Compensation or None
+        How parts moved, where frames are given as those of parts at rest.
     """
 
     frames: Sequence[Image]
@@ -99,6 +104,8 @@ class Recording:
     known: tuple[KnownCoordinate, ...] = ()
     merged: MergedLevels | None = None
     bayer: Bayer | None = None
+    times_s: tuple[float, ...] = ()
+    motion: Compensation | None = None
 
     def __repr__(self) -> str:
         height, width = self.frames[0].shape if self.frames else (0, 0)
@@ -155,7 +162,7 @@ class Recording:
         """
         frames = [np.ascontiguousarray(frame[chosen]) for frame in self.frames]
         merged = self.merged and replace(self.merged, scales=tuple(s[chosen] for s in self.merged.scales))
-        return replace(self, frames=frames, merged=merged)
+        return replace(self, frames=frames, merged=merged, motion=None)
 
     @cached_property
     def harmonics(self) -> Floats | None:

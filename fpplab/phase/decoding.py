@@ -15,6 +15,7 @@ from fpplab.core import buffers
 from fpplab.core.conventions import AXES, Axis, Floats, Map, axis_length, full_scale
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, no_progress
+from fpplab.patterns.motion import Compensation
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import unwrapping_methods
@@ -100,8 +101,17 @@ def decode(
     if single_frame(recording.plan):
         return decode_single_frame(recording, bounds or {}, progress)
     if recording.fringe_part is recording:
-        return _decode_fringes(recording, progress, bounds or {})
+        return _with_motion(_decode_fringes(recording, progress, bounds or {}), recording.motion)
     return _decode_codes_and_fringes(recording, progress, bounds or {})
+
+
+def _with_motion(decoded: Decoded, motion: Compensation | None) -> Decoded:
+    """State what frames of parts that moved tell less well than those of parts at rest."""
+    if motion is None:
+        return decoded
+    common = decoded.sigma_phase_error
+    common = None if common is None else np.hypot(common, motion.left_px)
+    return replace(decoded, sigma=decoded.sigma * motion.noise, sigma_phase_error=common)
 
 
 def _decode_fringes(

@@ -291,6 +291,61 @@ class DriftLimits(NamedTuple):
     scatter_passes: int = 5  # passes in which the frames' own scatter is estimated (chosen)
 
 
+class PartMotionLimits(NamedTuple):
+    """Limits of the look for parts that move evenly during a scan."""
+
+    tile_px: int = 16
+    """Side of a tile in px. Chosen: noise of its frames' rests is known to some percent."""
+    max_tiles: int = 600  # about as many are looked at, spread over the image (chosen)
+    min_tiles: int = 4  # neighbouring tiles that are a part (chosen)
+    max_fringes: float = 2.6
+    """Greatest displacement in widths of the finest fringes that is looked for. Chosen: above two."""
+    fringes_step: float = 0.04  # between displacements that are tried (chosen)
+    min_fringes: float = 0.1
+    """Least displacement in widths of the finest fringes that is told from vibration and drift. Chosen."""
+    max_walk_px: float = 2.5
+    """By how many px of the projector its picture may walk over a scan. Chosen: less from pose to pose."""
+    whole_share: float = 0.9
+    """Share of the lit tiles from which on nothing stands still that tells it from motion. Chosen."""
+    min_power_ratio: float = 1.5
+    """How many times more frames at rest must leave than followed ones. Chosen: chance makes 1.2 of it."""
+    min_variance: float = 1e-3  # of a level, in grey levels squared; less is rounding (chosen)
+    passes: int = 3  # each with distances of the one before (chosen)
+    median_px: int = 9
+    """Side of the square whose median is its distance. Chosen: beyond waves by motion."""
+    trial_pixels: int = 300  # pixels by which displacements to begin with are compared (chosen)
+    refined_trials: int = 3  # of them that are refined (chosen)
+    fitted_pixels: int = 800  # pixels by which the displacement is fitted (chosen)
+    axial_trials: int = 3  # displacements along the axis to begin with (chosen)
+    trials_across: int = 9  # displacements across it, from -2 to 2 of the finest fringes (chosen)
+    prior_mm: float = 100.0  # standard deviation of a displacement that is expected (chosen: frames decide)
+    derivative_mm: float = 0.05  # step of numerical derivatives (chosen: some hundredths of a fringe)
+    fit_passes: int = 15  # passes of least squares (chosen)
+    fit_tolerance: float = 1e-3  # relative change at which they end (chosen: Newton's method goes on)
+    newton_steps: int = 4  # of the minimum of what is left (chosen)
+    max_step_mm: float = 0.2  # greatest of them (chosen: a part of a fringe)
+    tolerance_mm: float = 0.003  # least of them (chosen: a thousandth of a fringe)
+    blur_px: float = 0.8
+    """Blur of the frames that displacements are fitted to. Chosen: interpolation then keeps noise."""
+    outlier_sigmas: float = 3.0  # rests beyond which count less (chosen)
+    outlier_ratio: float = 3.0  # power beyond this multiple of the median is no part's (chosen)
+    chance_sigmas: float = 4.0  # by how much better a pixel must follow than stand still (chosen)
+    window_px: int = 5  # side of the square whose rests tell whether it moves (chosen)
+    max_step_share: float = (
+        0.004  # of the distance, from pixel to pixel of a surface (chosen: 2 mm at 450 mm)
+    )
+    max_rest_ratio: float = 2.0
+    """Greatest mean square of what followed pixels leave, beside that of noise. Chosen: the right one
+    leaves 0.5 to 1.2 of it, wrong ones and vibration several times as much."""
+    max_jitter: float = 0.3
+    """Greatest scatter of the frames' phases about an even displacement, as a share of it. Chosen: vibration
+    alone scatters by more than its own ramp."""
+    margin_px: int = 64  # beyond tiles that move up to which pixels are looked at (chosen)
+    block_pixels: int = 50_000  # pixels that are followed at a time (chosen: 100 MB)
+    max_noise_ratio: float = 10.0
+    """Greatest increase of a coordinate's noise by uneven steps. Chosen: beyond it frames do not allow it."""
+
+
 class EdgeLimits(NamedTuple):
     """Limits of the correction at edges of reflectivity."""
 
@@ -489,6 +544,7 @@ BIASED_ORDERS = BiasedOrderLimits()
 LAG = LagLimits()
 DRIFT = DriftLimits()
 NEIGHBOURS = NeighbourLimits()
+MOTION = PartMotionLimits()
 EDGES = EdgeLimits()
 CODES = CodeLimits()
 ISLANDS = IslandLimits()

@@ -14,6 +14,7 @@ from fpplab.phase import Decoded, decode
 from fpplab.pipeline.checking import plan_fault, require_in_step
 from fpplab.pipeline.depth import given_depth
 from fpplab.reconstruction.depth_range import KnownPixels, coordinates_of_points
+from fpplab.reconstruction.motion import compensate_motion
 from fpplab.sessions.origin import check_region, check_stage
 from fpplab.sessions.session import Session
 
@@ -37,6 +38,7 @@ def checked_recording(
     if not as_recorded:
         require_in_step(recording)
     recording = replace(recording, depth=given) if given else recording
+    recording = compensate_motion(recording, calibration)
     if not known_mm:
         return recording
     (axis,) = spatial_axes(recording)

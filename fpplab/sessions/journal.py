@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -154,3 +155,12 @@ def check_whole(path: Path, plan: Plan, records: Sequence[FrameRecord]) -> None:
                 f"{path / record.file}: frame {i} is {format_text(record.format)}, "
                 f"but the first is {format_text(records[0].format)}"
             )
+
+
+def frame_times(records: Sequence[FrameRecord]) -> tuple[float, ...]:
+    """When frames were taken in s, by the camera's clock if it has one; empty where clocks stand."""
+    times = [record.device_time_s for record in records]
+    if None in times:
+        times = [record.host_time_s for record in records]
+    known = tuple(time for time in times if time is not None)
+    return known if all(a < b for a, b in pairwise(known)) else ()

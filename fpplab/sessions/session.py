@@ -59,6 +59,7 @@ from fpplab.sessions.journal import (
     check_whole,
     format_text,
     frame_file,
+    frame_times,
     pattern_ids,
     read_journal,
 )
@@ -521,7 +522,8 @@ class Session:
         self.plan.check_projector(size, self.path)
         frames = self.stack(verify, progress)
         known = self.response(), self.depth, self.is_imported, lattice
-        return Recording(frames, self.plan, size, self.bits, str(self.path), *known, bayer=self.bayer)
+        raw = Recording(frames, self.plan, size, self.bits, str(self.path), *known, bayer=self.bayer)
+        return replace(raw, times_s=() if self.is_imported else frame_times(self.records))
 
     @property
     def bayer(self) -> Bayer | None:

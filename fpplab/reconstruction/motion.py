@@ -1,0 +1,531 @@
+"""Parts that move evenly while they are scanned: their frames as if they had stood still.
+
+A part that moves shows each frame of a fringe set at another phase. Beside a sinusoid, its frames then leave
+a rest, which vanishes where they are followed along the right displacement and fitted at the phases that they
+were taken at. The displacement is one vector for all pixels of a part; what rests beside still pixels and
+beside followed ones tells the part from what stands still. Everything is given for the middle of the finest
+set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import (
+    binary_closing,
+    binary_dilation,
+    binary_erosion,
+    binary_fill_holes,
+    distance_transform_edt,
+    gaussian_filter,
+    label,
+    map_coordinates,
+    maximum_filter,
+    median_filter,
+    minimum_filter,
+    spline_filter,
+    uniform_filter,
+)
+from scipy.optimize import least_squares
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.conventions import AXES, TWO_PI, Floats, Image, Map, Mask, axis_length, full_scale
+from fpplab.core.errors import FppError
+from fpplab.patterns.motion import Compensation, PartMotion
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from fpplab.phase.common_errors import beyond_fringe
+from fpplab.phase.limits import COMMON_ERRORS, MOTION
+from fpplab.reconstruction.depth_range import decoding_bounds
+from fpplab.reconstruction.points import triangulate
+from fpplab.reconstruction.triangulation import camera_rays
+
+Pixels = NDArray[np.intp]  # (P, 2) row and column
+
+
+def compensate_motion(recording: Recording, calibration: Calibration) -> Recording:
+    """Give the frames of parts that move as those of parts at rest; the same recording where none does."""
+    plan = recording.plan
+    if recording.merged or recording.bayer or plan.fringe_part is not plan or recording.motion:
+        return recording
+    tiles = _Tiles.of(recording)
+    depth = None if tiles is None else _depth(recording, calibration, rough=True)
+    if tiles is None or depth is None:
+        return recording
+    noise = np.sqrt(tiles.variance / (4.0 * np.pi)) / MOTION.blur_px
+    follower = _Follower(recording, calibration, depth, float(noise))
+    regions = _regions(follower, tiles)
+    for _ in range(MOTION.passes):
+        depth, before = _depth(_stilled(follower, regions), calibration, rough=False), regions
+        if depth is None or not regions:
+            break
+        follower = replace(follower, depth=depth)
+        regions = [_again(follower, region) for region in regions]
+        changes = [np.abs(a.moved - b.moved).max() for a, b in zip(before, regions, strict=True)]
+        if max(changes) < MOTION.tolerance_mm:
+            break
+    return _stilled(follower, regions)
+
+
+def _shares(recording: Recording) -> Floats:
+    """When each frame was taken, as a share of the time from the first to the last, less the middle set's."""
+    plan, count = recording.plan, recording.plan.images
+    times = np.array(recording.times_s if len(recording.times_s) == count else range(count), np.float64)
+    finest = plan.finest_set(plan.axes[0])
+    middle = times[plan.set_starts[finest] : plan.set_starts[finest + 1]].mean()
+    return np.asarray((times - middle) / max(times[-1] - times[0], 1e-12))
+
+
+@dataclass(frozen=True, eq=False)
+class _Tiles:
+    """Square tiles of the image whose frames a motion explains."""
+
+    corners: NDArray[np.intp]  # (T, 2) of those that move, row and column
+    groups: NDArray[np.intp]  # (T,) which neighbouring ones are a part, from 1
+    rates: Floats  # (C,) displacements of the coordinate along the first axis over the scan that were tried
+    powers: Floats  # (T, C) what sinusoids leave at each
+    variance: float  # of the noise of a level
+
+    @classmethod
+    def of(cls, recording: Recording) -> _Tiles | None:
+        """Look for tiles that move; None where too few do."""
+        plan, side, axis = recording.plan, MOTION.tile_px, recording.plan.axes[0]
+        height, width = recording.frames[0].shape
+        apart = side * max(1, round(np.sqrt(height * width / side**2 / MOTION.max_tiles)))
+        rows, columns = (np.arange(0, size - side + 1, apart) for size in (height, width))
+        used = [k for k in plan.sets_along(axis) if plan.fringes[k].images > 3]
+        if not used or not len(rows) or not len(columns):
+            return None
+        finest, shares = plan.fringes[plan.finest_set(axis)].stripes, _shares(recording)
+        turns = np.arange(-MOTION.max_fringes, MOTION.max_fringes + 1e-9, MOTION.fringes_step)
+        powers, strengths = np.zeros((len(rows), len(columns), len(turns))), []
+        for k in used:
+            fringe, (first, end) = plan.fringes[k], plan.set_starts[k : k + 2]
+            products = _products(recording.frames[first:end], rows, columns)
+            ways = np.outer(turns, shares[first:end] - shares[first:end].mean())
+            kept = [_beyond(fringe.phase_shifts() - TWO_PI * fringe.stripes / finest * way) for way in ways]
+            powers += np.einsum("tnm,rcnm->rct", kept, products)
+            strengths.append(np.trace(products, axis1=2, axis2=3) * 2.0 / fringe.images / side**2)
+        freedom = side**2 * sum(plan.fringes[k].images - 3 for k in used)
+        still, best = powers[..., len(turns) // 2], powers.min(axis=-1)
+        least = freedom * MOTION.min_variance / recording.grey**2
+        lit = np.min(strengths, axis=0) >= (plan.masks.modulation_min / recording.grey) ** 2
+        rates = turns * axis_length(recording.projector_size, axis) / finest
+        moved = turns[powers.argmin(axis=-1)]
+        moves = lit & (np.abs(moved) >= MOTION.min_fringes) & (still > MOTION.min_power_ratio * best + least)
+        walk_px = np.median(np.abs(moved[moves])) * rates[-1] / turns[-1] if moves.any() else 0.0
+        if moves.sum() > MOTION.whole_share * lit.sum() and walk_px < MOTION.max_walk_px:
+            return None  # the projector's picture may walk as far
+        groups, count = label(moves, np.ones((3, 3)))
+        moves &= np.bincount(groups.ravel(), minlength=count + 1)[groups] >= MOTION.min_tiles
+        if not moves.any():
+            return None
+        at, variance = np.argwhere(moves), max(float(np.median(best[moves])), least) / freedom
+        corners = np.stack([rows[at[:, 0]], columns[at[:, 1]]], axis=1)
+        return cls(corners, groups[moves], rates, powers[moves], variance)
+
+    def pixels(self, group: int, most: int) -> Pixels:
+        """Some pixels of a group, (P, 2) row and column."""
+        inner = np.indices((MOTION.tile_px, MOTION.tile_px)).reshape(2, -1).T
+        pixels = (self.corners[self.groups == group][:, None] + inner).reshape(-1, 2)
+        return np.asarray(np.random.default_rng(0).permutation(pixels)[:most])
+
+
+def _products(frames: Sequence[Image], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
+    """Products of frames less their mean, summed over square tiles: (rows, columns, N, N)."""
+    side = MOTION.tile_px
+    down, across = ((corners[:, None] + np.arange(side)).ravel() for corners in (rows, columns))
+    picked = np.stack([frame[down][:, across] for frame in frames]).astype(np.float32)
+    tiles = (picked - picked.mean(axis=0)).reshape(len(frames), len(rows), side, len(columns), side)
+    products = np.einsum("nrpcq,mrpcq->rcnm", tiles, tiles, optimize=True)
+    return np.asarray(products, np.float64)
+
+
+def _beyond(shifts: Floats) -> Floats:
+    """As `beyond_fringe`, also of shifts that are nearly alike."""
+    waves = np.linalg.qr(np.stack([np.ones_like(shifts), np.cos(shifts), np.sin(shifts)], axis=1))[0]
+    return np.asarray(np.eye(len(shifts)) - waves @ waves.T)
+
+
+def _depth(recording: Recording, calibration: Calibration, *, rough: bool) -> Floats | None:
+    """Distance of every pixel along the camera's axis, where motion spoils it by the median around."""
+    plan = recording.plan
+    if rough:
+        masks = plan.masks.model_copy(
+            update={"disagreement_max": 1e6, "residual_max": 1e6, "wrong_order_max": 1.0, "contrast_min": 0.0}
+        )
+        plan = plan.model_copy(update={"masks": masks})
+    try:
+        decoded = decode(
+            replace(recording, plan=plan, motion=None),
+            bounds=decoding_bounds(plan, calibration, recording.depth),
+        ).of_known_order()
+        cloud = triangulate(decoded, calibration, normals=False)
+    except FppError:
+        return None
+    if not len(cloud) or cloud.pixels is None:
+        return None
+    depth = np.full(recording.frames[0].shape, np.nan)
+    u, v = cloud.pixels.astype(int).T
+    depth[v, u] = cloud.points[:, 2]
+    nearest = distance_transform_edt(np.isnan(depth), return_distances=False, return_indices=True)
+    return np.asarray(median_filter(depth[tuple(nearest)], MOTION.median_px))
+
+
+@dataclass(frozen=True, eq=False)
+class _Follower:
+    """Follows pixels of a part through the frames of a recording."""
+
+    recording: Recording
+    calibration: Calibration
+    depth: Floats
+    noise: float  # standard deviation of a level
+    blur_px: float = MOTION.blur_px  # of the frames; interpolation would else take noise away where it moves
+
+    @property
+    def freedom(self) -> int:
+        """How many combinations of a pixel's levels sinusoids leave."""
+        return sum(max(fringe.images - 3, 0) for fringe in self.recording.plan.fringes)
+
+    @cached_property
+    def shares(self) -> Floats:
+        return _shares(self.recording)
+
+    @cached_property
+    def splines(self) -> list[Map]:
+        levels = (gaussian_filter(f.astype(np.float32), self.blur_px) for f in self.recording.frames)
+        return [spline_filter(each, output=np.float32) for each in levels]
+
+    @cached_property
+    def points(self) -> Floats:
+        return camera_rays(self.calibration.camera) * self.depth[..., None]
+
+    def followed(self, pixels: Pixels, moved: Floats, k: int) -> tuple[Floats, Floats, Floats]:
+        """Levels of set k where the pixels' points are seen, the shifts of these, and where that is."""
+        # pixels (P, 2); moved (3,) mm over the scan; returns (N, P), (N, P) rad, (N, P, 2)
+        plan, rig = self.recording.plan, self.calibration
+        fringe, (first, end) = plan.fringes[k], plan.set_starts[k : k + 2]
+        points, axis = self.points[tuple(pixels.T)], AXES.index(fringe.axis)
+        # Over a few mm, ways through both images are parabolas.
+        nodes = self.shares[[0, -1]]
+        ends = points + nodes[:, None, None] * moved
+        bend = np.stack([self.shares, self.shares**2], axis=1)[first:end] @ np.linalg.inv(
+            np.stack([nodes, nodes**2], axis=1)
+        )
+        offsets = rig.camera.project(ends) - rig.camera.project(points)
+        seen = np.tensordot(bend, offsets[..., ::-1], 1) + pixels
+        shown = [rig.projector.project(p, rig.T_projector_camera)[..., axis] for p in (*ends, points)]
+        to_rad = TWO_PI * fringe.stripes / axis_length(self.recording.projector_size, fringe.axis)
+        shifts = fringe.phase_shifts()[:, None] - to_rad * bend @ (np.stack(shown[:2]) - shown[2])
+        levels = [
+            map_coordinates(spline, at.T, prefilter=False, mode="nearest", output=np.float64)
+            for spline, at in zip(self.splines[first:end], seen, strict=True)
+        ]
+        return np.stack(levels), shifts, np.asarray(seen)
+
+    def rests(self, pixels: Pixels, moved: Floats, *, gains: bool = True) -> Floats:
+        """What sinusoids, and the lamp's gains, leave of the followed levels, over their noise, (M, P)."""
+        rests, offsets = list[Floats](), list[Floats]()
+        for k, fringe in enumerate(self.recording.plan.fringes):
+            levels, shifts, _ = self.followed(pixels, moved, k)
+            fitted, rest, _ = _fit(levels, shifts)
+            if fringe.images > 3:
+                rests.append(_without_gains(rest, levels - rest) if gains else rest)
+            if fringe.stripes >= COMMON_ERRORS.min_stripes:
+                offsets.append(fitted[:1])
+        if len(offsets) > 1:
+            mean = np.mean(offsets, axis=0)
+            rests += [_without_gains(each - mean, mean) for each in offsets]
+        return np.concatenate(rests) / self.noise
+
+
+def _without_gains(rest: Floats, levels: Floats) -> Floats:
+    """Take off what each frame shows brighter than others at all pixels."""
+    gains = np.sum(rest * levels, axis=1) / np.sum(levels**2, axis=1)
+    return np.asarray(rest - gains[:, None] * levels)
+
+
+def _fit(levels: Floats, shifts: Floats) -> tuple[Floats, Floats, Floats]:
+    """Fit `A + c cos + s sin` pixel by pixel: (3, P), what it leaves (N, P), and the inverses (P, 3, 3)."""
+    waves = np.stack([np.ones_like(shifts), np.cos(shifts), np.sin(shifts)])
+    normal = np.einsum("inp,jnp->pij", waves, waves) + 1e-6 * np.eye(3)
+    inverse = np.linalg.inv(normal)
+    fitted = np.einsum("pij,jnp,np->ip", inverse, waves, levels, optimize=True)
+    return fitted, levels - np.einsum("ip,inp->np", fitted, waves), inverse
+
+
+@dataclass(frozen=True, eq=False)
+class _Region:
+    """A part that moves."""
+
+    moved: Floats  # (3,) mm over the scan
+    covariance: Floats
+    mask: Mask  # its pixels
+    neither: Mask  # those nearby that neither follow it nor stand still
+    rest: float  # mean square of what it leaves, typically, over that of noise
+
+
+def _regions(follower: _Follower, tiles: _Tiles) -> list[_Region]:
+    regions, taken = list[_Region](), np.zeros(follower.depth.shape, np.bool_)
+    for group in np.unique(tiles.groups):
+        seeds = tiles.pixels(group, MOTION.fitted_pixels)
+        if taken[tuple(seeds.T)].mean() > 0.5:  # beside another group of the same part
+            continue
+        few = seeds[: MOTION.trial_pixels]
+        trials = list(_trials(follower, tiles, group, few))
+        costs = [_cost(follower, trial, few) for trial in trials]
+        best = [_minimum(follower, trials[k], few)[0] for k in np.argsort(costs)[: MOTION.refined_trials]]
+        start = min(best, key=lambda m: (not _runs_forward(follower, m, few), _cost(follower, m, few)))
+        region = _region(follower, start, seeds, taken, MOTION.window_px)
+        if region.mask.any() and _is_even(follower, region.moved, np.argwhere(region.mask)):
+            regions.append(region)
+            taken |= region.mask
+    return regions
+
+
+def _again(follower: _Follower, region: _Region) -> _Region:
+    """Fit a part once more by its inner pixels."""
+    inner = np.argwhere(binary_erosion(region.mask, np.ones((MOTION.window_px, MOTION.window_px))))
+    seeds = np.random.default_rng(0).permutation(inner if len(inner) else np.argwhere(region.mask))
+    return _region(follower, region.moved, seeds[: MOTION.fitted_pixels], np.zeros_like(region.mask), 3)
+
+
+def _region(follower: _Follower, start: Floats, seeds: Pixels, taken: Mask, window_px: int) -> _Region:
+    """Refine a displacement by pixels that follow it, and tell which pixels do."""
+    power = np.square(follower.rests(seeds, start)).sum(axis=0)
+    seeds = seeds[power <= MOTION.outlier_ratio * np.median(power)]
+    moved, covariance = _minimum(follower, start, seeds)
+    rest = np.median(np.square(follower.rests(seeds, moved)).sum(axis=0)) / follower.freedom
+    mask, neither = _part(follower, seeds, moved, window_px)
+    return _Region(moved, covariance, mask & ~taken, neither, float(rest))
+
+
+def _is_even(follower: _Follower, moved: Floats, pixels: Pixels) -> bool:
+    """Whether frames follow a displacement evenly, as by no vibration, and leave much less than at rest."""
+    pixels = pixels[:: max(1, len(pixels) // MOTION.fitted_pixels)]
+    still, followed = (np.square(follower.rests(pixels, m)).sum(axis=0) for m in (np.zeros(3), moved))
+    if np.median(still) < MOTION.min_power_ratio * np.median(followed):
+        return False
+    jitters, ways = list[Floats](), list[Floats]()
+    for k, fringe in enumerate(follower.recording.plan.fringes):
+        if fringe.images > 3 and fringe.stripes >= COMMON_ERRORS.min_stripes:
+            levels, shifts, _ = follower.followed(pixels, moved, k)
+            (_, c, s), rest, _ = _fit(levels, shifts)
+            by_phase = s * np.cos(shifts) - c * np.sin(shifts)
+            share = fringe.images / (fringe.images - 3) / np.sum(by_phase**2, axis=1)
+            jitters.append(np.sum(rest * by_phase, axis=1) * share)
+            way = (shifts - fringe.phase_shifts()[:, None]).mean(axis=1)
+            ways.append(way - way.mean())
+    jitter, way = (float(np.sqrt(np.mean(np.concatenate(each) ** 2))) for each in (jitters, ways))
+    return jitter <= MOTION.max_jitter * way
+
+
+def _runs_forward(follower: _Follower, moved: Floats, pixels: Pixels) -> bool:
+    """Whether the phase runs along the image as the geometry says: mirrored steps leave as little."""
+    plan = follower.recording.plan
+    k, beside = plan.finest_set(plan.axes[0]), np.array([0, 1] if plan.axes[0] == "x" else [1, 0])
+
+    def ahead(by: int) -> Pixels:
+        return np.asarray(np.minimum(pixels + by * beside, np.array(follower.depth.shape) - 1))
+
+    def wave(at: Pixels) -> Floats:
+        levels, shifts, _ = follower.followed(at, moved, k)
+        return np.asarray(_fit(levels, shifts)[0])
+
+    rig, axis = follower.calibration, AXES.index(plan.axes[0])
+    rays = camera_rays(rig.camera)
+    depth = np.median(follower.depth[tuple(pixels.T)])
+    here, next_ = (
+        rig.projector.project(depth * rays[tuple(at.T)], rig.T_projector_camera)[..., axis]
+        for at in (ahead(0), ahead(1))
+    )
+    size = axis_length(follower.recording.projector_size, plan.axes[0])
+    per_px = TWO_PI * plan.fringes[k].stripes / size * float(np.median(next_ - here))
+    by = max(1, round(0.5 * np.pi / max(abs(per_px), 1e-3)))
+    (_, c, s), (_, c1, s1) = wave(ahead(0)), wave(ahead(by))
+    return bool(np.sum((c1 + 1j * s1) * (c - 1j * s) * np.exp(-1j * by * per_px)).real > 0.0)
+
+
+def _cost(follower: _Follower, moved: Floats, pixels: Pixels) -> float:
+    """Half of what remains, in squares of its noise; outliers count by their size."""
+    robust = np.sqrt(1.0 + np.square(follower.rests(pixels, moved) / MOTION.outlier_sigmas)) - 1.0
+    return float(MOTION.outlier_sigmas**2 * robust.sum() + 0.5 * np.square(moved / MOTION.prior_mm).sum())
+
+
+def _by_least_squares(follower: _Follower, start: Floats, pixels: Pixels) -> Floats:
+    """Near the displacement that costs least, also from far away."""
+
+    def values(moved: Floats) -> Floats:
+        return np.asarray(np.append(follower.rests(pixels, moved).ravel(), moved / MOTION.prior_mm))
+
+    def slopes(moved: Floats) -> Floats:
+        here, step = values(moved), MOTION.derivative_mm
+        return np.asarray(np.stack([values(moved + step * e) - here for e in np.eye(3)], axis=1) / step)
+
+    tolerance, most = MOTION.fit_tolerance, MOTION.fit_passes
+    fit = least_squares(
+        values,
+        start,
+        slopes,
+        loss="soft_l1",
+        f_scale=MOTION.outlier_sigmas,
+        ftol=tolerance,
+        xtol=tolerance,
+        max_nfev=most,
+    )
+    return np.asarray(fit.x)
+
+
+def _minimum(follower: _Follower, start: Floats, pixels: Pixels) -> tuple[Floats, Floats]:
+    """The displacement that costs least, and its covariance."""
+    # Least squares take slopes of the noise between pixels for those of the picture and slow down, so that
+    # Newton's method comes last.
+    moved, step = _by_least_squares(follower, start, pixels), MOTION.derivative_mm
+    for _ in range(MOTION.newton_steps):
+        here = _cost(follower, moved, pixels)
+        ahead, behind = (
+            np.array([_cost(follower, moved + s * e, pixels) for e in np.eye(3)]) for s in (step, -step)
+        )
+        bent = np.diag(ahead + behind - 2.0 * here)
+        for i, j in combinations(range(3), 2):
+            both = _cost(follower, moved + step * (np.eye(3)[i] + np.eye(3)[j]), pixels)
+            bent[i, j] = bent[j, i] = both - ahead[i] - ahead[j] + here
+        strength, directions = np.linalg.eigh(bent / step**2)
+        inverse = (directions / np.maximum(np.abs(strength), MOTION.prior_mm**-2)) @ directions.T
+        change = -inverse @ (ahead - behind) / (2.0 * step)
+        change *= min(1.0, MOTION.max_step_mm / float(np.linalg.norm(change)))
+        moved = moved + change
+        if np.linalg.norm(change) < MOTION.tolerance_mm:
+            break
+    return moved, inverse
+
+
+def _trials(follower: _Follower, tiles: _Tiles, group: int, pixels: Pixels) -> Iterator[Floats]:
+    """Displacements to begin with: along the axis as the tiles tell, and across it."""
+    powers = tiles.powers[tiles.groups == group]
+    curve = (powers / powers.min(axis=1, keepdims=True)).mean(axis=0)
+    inner = np.flatnonzero((curve[1:-1] <= curve[:-2]) & (curve[1:-1] <= curve[2:])) + 1
+    rates = [0.0, *tiles.rates[inner[np.argsort(curve[inner])[: MOTION.axial_trials]]]]
+    rig, points = follower.calibration, follower.points[tuple(pixels.T)]
+    axis = AXES.index(follower.recording.plan.axes[0])
+
+    def change(step: Floats) -> float:
+        ahead, behind = (
+            rig.projector.project(points + s * step, rig.T_projector_camera)[..., axis] for s in (0.5, -0.5)
+        )
+        return float(np.median(ahead - behind))
+
+    per_mm = np.array([change(step) for step in np.eye(3)])
+    along_ray = change(np.median(points, axis=0) / np.median(points[:, 2]))
+    period = abs(tiles.rates[-1]) / MOTION.max_fringes / np.hypot(*per_mm[:2])
+    across = np.linspace(-2.0, 2.0, MOTION.trials_across)
+    for rate, x, y in product(rates, across, across[::2]):
+        yield np.array([x * period, y * period, rate / along_ray])
+
+
+def _part(follower: _Follower, seeds: Pixels, moved: Floats, window_px: int) -> tuple[Mask, Mask]:
+    """Which pixels follow a displacement and hang together, and which neither follow nor stand still."""
+    part = np.zeros(follower.depth.shape, np.bool_)
+    first = np.maximum(seeds.min(axis=0) - MOTION.margin_px, 0)
+    end = np.minimum(seeds.max(axis=0) + MOTION.margin_px + 1, part.shape)
+    nearby = np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(first, end, strict=True)), indexing="ij"))
+    blocks = np.array_split(nearby.reshape(2, -1).T, nearby[0].size // MOTION.block_pixels + 1)
+
+    def left(displacement: Floats) -> Floats:
+        power = [np.square(follower.rests(b, displacement, gains=False)).sum(axis=0) for b in blocks]
+        return np.asarray(uniform_filter(np.concatenate(power).reshape(nearby[0].shape), window_px))
+
+    chance = MOTION.chance_sigmas * np.sqrt(2.0 * follower.freedom) / window_px
+    still, followed = left(np.zeros(3)), left(moved)
+    # Where the part passed by, neither fits.
+    typical = np.median(followed[tuple((seeds - first).T)])
+    fits = (followed < MOTION.outlier_ratio * typical) & (followed - still < chance)
+    # Neither do they differ where a part without texture moves across; it goes on without a step.
+    depth = follower.depth[first[0] : end[0], first[1] : end[1]]
+    steps = maximum_filter(depth, 3) - minimum_filter(depth, 3) > MOTION.max_step_share * depth
+    part[first[0] : end[0], first[1] : end[1]] = binary_closing(
+        fits & ((still - followed > chance) | ~steps), np.ones((3, 3))
+    )
+    groups = label(part)[0]
+    own = np.unique(groups[tuple(seeds.T)])
+    mask = binary_fill_holes(np.isin(groups, own[own > 0]))
+    neither = np.zeros_like(part)
+    neither[first[0] : end[0], first[1] : end[1]] = still > MOTION.outlier_ratio * typical
+    return mask, neither & ~mask
+
+
+def _stilled(follower: _Follower, regions: Sequence[_Region]) -> Recording:
+    """Replace the frames of parts that move; where they passed by, frames show no fringes."""
+    recording, follower = follower.recording, replace(follower, blur_px=0.0)
+    if not regions:
+        return recording
+    frames = [frame.copy() for frame in recording.frames]
+    noise, left = np.ones(follower.depth.shape, np.float32), np.zeros(follower.depth.shape, np.float32)
+    parts, passed = list[PartMotion](), np.zeros(noise.shape, np.bool_)
+    for region in regions:
+        part, ratio = _told(follower, region)
+        parts.append(part)
+        if part.is_compensated:
+            noise[region.mask], left[region.mask] = ratio, part.left_px
+            passed |= _follow(follower, region, frames) | region.neither
+    passed &= ~np.any([region.mask for region in regions], axis=0)
+    for frame in frames[1:]:
+        frame[passed] = frames[0][passed]
+    return replace(recording, frames=frames, motion=Compensation(tuple(parts), noise, left))
+
+
+def _follow(follower: _Follower, region: _Region, frames: list[Image]) -> Mask:
+    """Write what frames of the part at rest would show; give the pixels where it was."""
+    pixels, plan = np.argwhere(region.mask), follower.recording.plan
+    own, top = tuple(pixels.T), full_scale(follower.recording.bits)
+    passed = np.zeros(region.mask.shape, np.bool_)
+    for k, fringe in enumerate(plan.fringes):
+        levels, shifts, seen = follower.followed(pixels, region.moved, k)
+        fitted, rest, _ = _fit(levels, shifts)
+        steps = fringe.phase_shifts()
+        shown = fitted[0] + np.outer(np.cos(steps), fitted[1]) + np.outer(np.sin(steps), fitted[2])
+        shown += beyond_fringe(steps) @ rest
+        first, end = plan.set_starts[k : k + 2]
+        for frame, level, at in zip(frames[first:end], shown, seen, strict=True):
+            frame[own] = np.clip(np.rint(level), 0, top).astype(frame.dtype)
+            v, u = np.clip(np.rint(at).astype(int), 0, np.array(passed.shape) - 1).T
+            passed[v, u] = True
+    return np.asarray(binary_dilation(passed, np.ones((3, 3))))  # the lens blurs its edge
+
+
+def _told(follower: _Follower, region: _Region) -> tuple[PartMotion, Floats]:
+    """What a part did, and how many times greater the noise of its pixels' coordinates gets (P,)."""
+    plan, pixels, moved = follower.recording.plan, np.argwhere(region.mask), region.moved
+    k = plan.finest_set(plan.axes[0])
+    fringe, steps = plan.fringes[k], plan.fringes[k].phase_shifts()
+    levels, shifts, _ = follower.followed(pixels, moved, k)
+    (_, c, s), _, inverse = _fit(levels, shifts)
+    along = np.stack([np.zeros_like(c), -s, c]) / np.maximum(np.hypot(c, s), 1e-9)
+    ratio = np.sqrt(0.5 * len(steps) * np.einsum("ip,pij,jp->p", along, inverse, along))
+    phase = np.arctan2(s, c)
+    off = np.angle((np.exp(1j * (steps[:, None] - phase)) * np.cos(phase - shifts)).sum(axis=0))
+    some = pixels[:: max(1, len(pixels) // MOTION.trial_pixels)]
+    ramps = [follower.followed(some, v, k)[1].mean(axis=1) for v in (*(moved + np.eye(3)), moved)]
+    by_mm = ramps[3] - np.stack(ramps[:3])  # (3, N) rad
+    turned = by_mm @ np.exp(2j * steps) / len(steps)
+    left = np.sqrt(0.5 * np.real(turned @ region.covariance @ turned.conj()))
+    rate = by_mm[:, -1] - by_mm[:, 0]
+    at = follower.shares[plan.set_starts[k] : plan.set_starts[k + 1]]
+    size, middle = axis_length(follower.recording.projector_size, fringe.axis), pixels.mean(axis=0)
+    to_px = size / fringe.stripes / TWO_PI
+    part = PartMotion(
+        (float(moved[0]), float(moved[1]), float(moved[2])),
+        float(np.sqrt(rate @ region.covariance @ rate) / np.linalg.norm(rate)),
+        float(rate @ moved / (at[-1] - at[0])) / TWO_PI,
+        (round(middle[1]), round(middle[0])),
+        len(pixels),
+        to_px * float(np.sqrt(np.mean(off**2))),
+        to_px * float(left),
+        bool(np.median(ratio) <= MOTION.max_noise_ratio and region.rest <= MOTION.max_rest_ratio),
+    )
+    return part, ratio

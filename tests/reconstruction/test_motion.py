@@ -1,0 +1,69 @@
+"""A part that moves evenly during a scan is compensated and told; vibration is left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.motion import FOUR_STEPS, MovingScene, measured, period_mm
+from fpplab.core.progress import no_progress
+from fpplab.diagnosis import Diagnosis, diagnose_scan
+from fpplab.pipeline.triangulating import triangulate_recording
+from fpplab.reconstruction.motion import _Tiles, compensate_motion
+from tests.diagnosis.scenes import Bench, plan_of
+
+SEED = 3
+UPWARDS = np.array([0.0, 0.0, 1.0])
+
+
+def test_parts_at_rest_are_left_alone() -> None:
+    scene = MovingScene(FOUR_STEPS, seed=SEED)
+    recording = scene.recording()
+    assert compensate_motion(recording, scene.rig) is recording
+
+
+def test_motion_shows_in_tiles_of_sets_with_more_than_three_steps() -> None:
+    for plan, shows in ((FOUR_STEPS, True), (plan_of(steps=(3, 3, 3)), False)):
+        recording = MovingScene(plan, (0.0, 0.0, 5.0), SEED).recording()
+        assert (_Tiles.of(recording) is not None) == shows
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize(
+    "bench", [Bench(plan_of(), seed=SEED, moves_px=0.6), Bench(plan_of(), seed=SEED, flicker=0.05)]
+)
+def test_vibration_and_flicker_are_no_motion(bench: Bench) -> None:
+    recording = bench.recording()
+    assert compensate_motion(recording, bench.rig()) is recording
+
+
+@pytest.mark.whole
+def test_a_part_that_moves_is_compensated_and_told() -> None:
+    displaced = 0.5 * period_mm(FOUR_STEPS, UPWARDS)
+    scene = MovingScene(FOUR_STEPS, (0.0, 0.0, displaced), SEED)
+    rest = replace(scene, moved_mm=(0.0, 0.0, 0.0))
+    recording = scene.recording()
+    stilled = compensate_motion(recording, scene.rig)
+    assert stilled.motion is not None
+    (part,) = stilled.motion.parts
+    np.testing.assert_allclose(part.moved_mm, scene.moved_mm, atol=0.1)
+    assert part.is_compensated
+    still, without, compensated = (
+        measured(each, frames)
+        for each, frames in ((rest, rest.recording()), (scene, recording), (scene, stilled))
+    )
+    assert compensated.rms_um**2 - still.rms_um**2 < (without.rms_um / 5.0) ** 2
+    assert compensated.rms_um < 1.5 * compensated.stated_um
+    assert f"moved by {displaced:.1f}" in compensated.told
+
+
+@pytest.mark.whole
+def test_three_steps_say_what_an_unseen_motion_costs() -> None:
+    scene = MovingScene(plan_of(steps=(3, 3, 3)), seed=SEED)
+    recording = scene.recording()
+    decoded, points = triangulate_recording(recording, scene.rig, None, no_progress)
+    assert not isinstance(points, Diagnosis)
+    unknown = diagnose_scan(recording, decoded, points, scene.rig).unknown
+    assert any(text.startswith("motion: ") and "µm" in text for text in unknown)
