@@ -24,6 +24,7 @@ CALIBRATION = Calibration(
 def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
     path = tmp_path / "results" / "calibration.yaml"
     CALIBRATION.save(path)
+    assert "white" not in path.read_text()
     back = Calibration.load(path)
     for device, known in ((back.camera, CALIBRATION.camera), (back.projector, CALIBRATION.projector)):
         assert device.size == known.size
@@ -34,6 +35,15 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
         back.T_projector_camera.matrix, CALIBRATION.T_projector_camera.matrix, atol=1e-14
     )
     assert back.rms_px == CALIBRATION.rms_px
+
+
+def test_the_white_of_a_colour_camera_is_kept(tmp_path: Path) -> None:
+    path, white = tmp_path / "c.yaml", (0.8, 1.15, 0.9)
+    replace(CALIBRATION, white=white).save(path)
+    assert Calibration.load(path).white == white
+    path.write_text(path.read_text().replace("0.8", "-0.8"))
+    with pytest.raises(ConfigError, match="white"):
+        Calibration.load(path)
 
 
 def test_eight_coefficients_are_kept_and_no_other_number_is(tmp_path: Path) -> None:

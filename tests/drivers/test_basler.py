@@ -372,3 +372,25 @@ def test_other_selectors_do_not_hold_frames_back(camera: BaslerCamera) -> None:
 def test_pylon_is_the_default() -> None:
     assert isinstance(BaslerCamera("camera", {"serial": "1"})._transport.cameras(), dict)
     assert pylon.TlFactory.GetInstance() is not None
+
+
+# A Bayer filter
+
+
+@pytest.mark.parametrize("bits", [8, 12])
+def test_frames_of_a_bayer_filter_are_the_sensors_own(bits: int) -> None:
+    """The emulated colour camera offers Mono8 and RGB8 too, which are made of several pixels."""
+    mosaic = np.arange(SIZE[0] * SIZE[1]).reshape(SIZE[::-1]) % (1 << bits)
+    bench = EmulatedPylon(scene=lambda settings: mosaic.astype(raw_dtype(settings.bits)), bayer="GBRG")
+    bench.start()
+    with driver(bench) as camera:
+        assert camera.caps.bayer == "GBRG"
+        camera.configure(replace(SETTINGS, bits=bits))
+        assert end(camera).GetNodeMap().GetNode("PixelFormat").GetValue() == f"BayerGB{bits}"
+        np.testing.assert_array_equal(camera.snap().image, mosaic)
+    bench.close()
+
+
+def test_a_camera_without_a_filter_has_no_colours(camera: BaslerCamera) -> None:
+    assert camera.caps.bayer is None
+    assert camera.caps.bits == (8, 12, 16)

@@ -1,11 +1,15 @@
 """The sensor against photon transfer."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from fpplab.core import config
 from fpplab.devices import CameraSettings
-from sim.sensor import MANY_ELECTRONS, SensorModel
-from sim.world import Sensor
+from sim.sensor import MANY_ELECTRONS, SensorModel, colour_shares
+from sim.world import Sensor, World
+from tests.sim.conftest import plain
 
 SHAPE = (400, 500)
 PHOTONS_PER_S = 1.1e6
@@ -79,3 +83,33 @@ def test_expected_is_the_mean_of_frames(irradiance: float, settings: CameraSetti
     assert frames.mean() == pytest.approx(
         level.mean(), abs=0.5 if frames.std() < 0.5 else 0.03 * frames.std()
     )
+
+
+LEDS = {
+    "red": {"lumens": 0.05, "wavelength_nm": 625},
+    "green": {"lumens": 0.1, "wavelength_nm": 525},
+    "blue": {"lumens": 0.02, "wavelength_nm": 460},
+}
+
+
+def lit(*names: str, **changes: Any) -> World:
+    data = plain(projector={"leds": LEDS, "lit": list(names)}, **changes)
+    data["materials"] = {"paint": {"reflectance": 0.9, "colour": [0.8, 0.4, 0.2]}}
+    data["items"]["card"]["material"] = "paint"
+    return config.validate(data, World, "world")
+
+
+def test_a_camera_without_a_filter_sees_the_colour_of_the_light() -> None:
+    """With one LED after the other, three frames of it have the colours of the part."""
+    assert (colour_shares(lit("green"), "pillars") == 1.0).all()
+    for name, share in zip(LEDS, (0.8, 0.4, 0.2), strict=True):
+        np.testing.assert_allclose(colour_shares(lit(name), "card"), share)
+    assert 0.2 < colour_shares(lit(*LEDS), "card")[0, 0] < 0.8
+
+
+def test_pixels_of_a_filter_get_their_share_of_each_light() -> None:
+    bayer = {"pattern": "GRBG", "red": [0.9, 0.1, 0.0], "green": [0.1, 0.8, 0.2], "blue": [0.0, 0.3, 0.7]}
+    world = lit("green", camera={"bayer": bayer})
+    corner = colour_shares(world, "pillars")[:2, :2]
+    np.testing.assert_allclose(corner, [[0.8, 0.1], [0.3, 0.8]])
+    np.testing.assert_allclose(colour_shares(world, "card")[:2, :2], 0.4 * corner)
