@@ -21,6 +21,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.conventions import TWO_PI, Floats, Image
 from fpplab.devices.rig import Rig
+from fpplab.patterns.fringe_sets.even import Even, LedName
 from fpplab.patterns.mosaic import Bayer, colour_factors
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
@@ -41,6 +42,7 @@ SETS = [{"axis": "x", "stripes": stripes, "steps": 8} for stripes in (1, 8, 64)]
 PLAN = config.validate({"fringes": SETS}, Plan, "benchmark")
 SEEDS = range(61_000, 61_003)
 WITHIN = 1.1
+COLOURS: tuple[LedName, LedName, LedName] = ("red", "green", "blue")
 LEDS = Led(60.0, 625.0), Led(110.0, 525.0), Led(15.0, 460.0)
 FILTER = ColourFilter(pattern="GRBG")
 CARD, EXPOSURES_S = (0.8, 0.4, 0.2), (0.004, 0.0114)  # of as much light without a filter and with one
@@ -74,7 +76,7 @@ def _noise(seed: int) -> list[Result]:
     decoded = decode(Recording(frames, PLAN, SIZE, BITS, bayer=bayer))
     error, bound = decoded.u - coordinate, np.sqrt(variances) / slopes
     results = []
-    for colour, name in zip(np.eye(3), ("red", "green", "blue"), strict=True):
+    for colour, name in zip(np.eye(3), COLOURS, strict=True):
         chosen = decoded.valid & (colour_factors(SHAPE, bayer, (colour[0], colour[1], colour[2])) > 0)
         over_bound = float(np.sqrt(np.mean((error / bound)[chosen] ** 2)))
         over_stated = float(np.sqrt(np.mean((error / decoded.sigma)[chosen] ** 2)))
@@ -97,6 +99,8 @@ def _board_and_card() -> list[Result]:
     with tempfile.TemporaryDirectory() as folder:
         mono, coloured = (_twin(Path(folder), bayer) for bayer in (None, config.plain(FILTER)))
     assert coloured[1] is not None
+    assert mono[1] is not None
+    by_leds = float(np.abs(mono[1] / mono[1].sum() - np.array(CARD) / sum(CARD)).max())
     shares = coloured[1] / coloured[1].sum()
     # Filters overlap, which no white balance undoes; what is left beside them is the black level.
     lit = np.array([led.lumens * led.wavelength_nm / photopic_efficiency(led.wavelength_nm) for led in LEDS])
@@ -104,6 +108,7 @@ def _board_and_card() -> list[Result]:
     seen = (passed @ CARD) / passed.sum(axis=1)
     return [
         below("board_rms_over_that_without_colours", coloured[0] / mono[0], "", WITHIN),
+        below("colour_of_card_off_by_leds", by_leds, "", 0.02),
         below("colour_of_card_off", float(np.abs(shares - np.array(CARD) / sum(CARD)).max()), "", 0.06),
         below("colour_of_card_off_by_filters", float(np.abs(shares - seen / seen.sum()).max()), "", 0.02),
     ]
@@ -115,7 +120,7 @@ def _twin(folder: Path, bayer: dict[str, Any] | None) -> tuple[float, Floats | N
     folder.mkdir()
     world = yaml.safe_load(config.find_config("world_demo", "world").read_text())
     world["camera"] |= {"bayer": bayer} if bayer else {}
-    leds = dict(zip(("red", "green", "blue"), LEDS, strict=True))
+    leds = dict(zip(COLOURS, LEDS, strict=True))
     world["projector"] |= {"leds": {name: asdict(led) for name, led in leds.items()}, "lit": list(leds)}
     world["items"]["grey_card"]["material"] = "card"
     world["materials"] = {"card": {"reflectance": 0.9, "colour": [c / 0.9 for c in CARD]}}
@@ -123,7 +128,10 @@ def _twin(folder: Path, bayer: dict[str, Any] | None) -> tuple[float, Floats | N
     rig_file = yaml.safe_load(config.find_config("rig_demo_quick", "rig").read_text())
     rig_file["bench"] |= {"world": "world.yaml", "analytic": True}
     (folder / "rig.yaml").write_text(yaml.safe_dump(rig_file))
-    plan = Plan.load("plan_board").model_copy(update={"exposure_s": EXPOSURES_S[bayer is not None]})
+    board = Plan.load("plan_board")
+    even = [] if bayer else [Even(levels=(1.0, 0.0), led=led) for led in COLOURS]
+    sets = (*board.sets[:3], *even, *board.sets[3:])
+    plan = board.model_copy(update={"fringes": sets, "exposure_s": EXPOSURES_S[bayer is not None]})
     with Rig.load(folder / "rig.yaml") as rig:
         poses = [take_or_resume_session(rig, plan, folder / f"{k}", ("board", k)) for k in range(6)]
         card = take_or_resume_session(rig, plan, folder / "card", ("grey_card", 0))

@@ -89,7 +89,9 @@ class SimCamera(Camera):
         # On the simulated clock a picture takes no longer than its exposure, however long Blender works.
         settings, world = self._configured("read"), self._bench.world
         number = self._bench.next_draw()
-        light = self._bench.irradiance(settings, number) * colour_shares(world, self._bench.setup.item)
+        led = self._bench.show.pattern.led if self._bench.show else None
+        shares = colour_shares(world, self._bench.setup.item, led)
+        light = self._bench.irradiance(settings, number) * shares
         image = SensorModel.of(world).expose(light, settings, number)
         index, self._index = self._index, self._index + 1
         self._clock_s += settings.exposure_s
@@ -133,7 +135,13 @@ class SimProjector(Projector):
     def _caps(self) -> ProjectorCaps:
         projector = self._bench.world.projector
         return ProjectorCaps(
-            projector.size, projector.lattice, MIN_EXPOSURE_S, 0, 1000, period_s=projector.period_s
+            projector.size,
+            projector.lattice,
+            MIN_EXPOSURE_S,
+            0,
+            1000,
+            period_s=projector.period_s,
+            leds=tuple(projector.leds),
         )
 
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:

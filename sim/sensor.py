@@ -18,6 +18,7 @@ from fpplab.patterns.mosaic import colour_factors
 from sim.radiometry import Led, gain_factor, lit_area_m2, photons_per_s
 from sim.scene import GreyScale
 from sim.world import Sensor, World
+from sim.world.projector import LedWorld
 
 MANY_ELECTRONS = 1000.0
 """Charge from which shot noise is drawn as normal instead of Poisson; the neglected skewness is 3 %."""
@@ -91,13 +92,14 @@ def white_photons_per_s(world: World) -> float:
     return photons_per_s(leds, area, camera.f_number, camera.transmission, camera.pixel_um)
 
 
-def colour_shares(world: World, item: str) -> Map:
+def colour_shares(world: World, item: str, led: str | None = None) -> Map:
     """Share of an item's white light that each pixel gets, by the item's colour and the pixel's filter."""
+    # led: the only one that is on
     # returns (height, width); the surroundings count as of the item's colour
-    lit = [world.projector.leds[name] for name in world.projector.lit]
-    photons = np.array([Led(led.lumens, led.wavelength_nm).watts * led.wavelength_nm for led in lit])
-    colours = [int(np.searchsorted(_BORDERS_NM, -led.wavelength_nm)) for led in lit]
-    light = np.bincount(colours, photons / photons.sum(), minlength=3)
+    light, leds = np.zeros(3), world.projector.leds
+    for name in world.projector.lit if led is None else (led,):
+        light[int(np.searchsorted(_BORDERS_NM, -leds[name].wavelength_nm))] += _photons(leds[name])
+    light /= sum(_photons(leds[name]) for name in world.projector.lit)
     if item in world.items and (colour := world.material_of(item).colour):
         light = light * np.array(colour)
     shape, seen = world.camera.size[::-1], world.camera.bayer
@@ -105,6 +107,10 @@ def colour_shares(world: World, item: str) -> Map:
         return np.full(shape, light.sum(), np.float32)
     red, green, blue = (float(light @ part) for part in (seen.red, seen.green, seen.blue))
     return colour_factors(shape, seen.pattern, (red, green, blue))
+
+
+def _photons(led: LedWorld) -> float:
+    return Led(led.lumens, led.wavelength_nm).watts * led.wavelength_nm
 
 
 _BORDERS_NM = (-585.0, -490.0)  # between red, green and blue light, falling

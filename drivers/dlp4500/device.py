@@ -14,7 +14,7 @@ from drivers.dlp4500.controller import Controller
 from drivers.dlp4500.in_flash import InFlash
 from drivers.dlp4500.index import shown_image
 from drivers.dlp4500.on_video import OnVideo
-from drivers.dlp4500.protocol import MAX_VARIABLE_ENTRIES
+from drivers.dlp4500.protocol import COLOURS, MAX_VARIABLE_ENTRIES
 from drivers.dlp4500.sequence import MIN_EXPOSURE_US, SIZE
 from drivers.dlp4500.transport import HidModule, Link, connect, load_hidapi
 from fpplab.core import config
@@ -212,6 +212,7 @@ class Dlp4500(Projector):
             gap_s=storage.gap_us * 1e-6,
             period_s=storage.still_us * 1e-6,
             dark_between=storage.dark_between,
+            leds=COLOURS,
         )
 
     def _loads(self) -> PatternLoads:

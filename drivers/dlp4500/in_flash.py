@@ -1,6 +1,7 @@
 """Patterns in the projector's flash."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 from drivers.dlp4500.controller import Controller
@@ -74,7 +75,7 @@ class InFlash:
 
     def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
         """Find each pattern in flash, and measure the load times where more than two images are needed."""
-        slots = [self._find(pattern) for pattern in patterns]
+        slots = [replace(self._find(pattern), led=pattern.led) for pattern in patterns]
         if _changes(slots) > PRELOADED_IMAGES:
             board.go_dark()  # the measurement is forbidden while patterns from flash are shown
             with board.dark_on_failure():

@@ -23,7 +23,7 @@ def assign_slots(patterns: Sequence[Pattern], max_patterns: int) -> list[Slot]:
             image, number = slots[-1].image, slots[-1].number + 1
         if not slots or bits != slots[-1].bits or number == min(max_patterns, len(pattern_numbers(bits))):
             image, number = image + 1, 0
-        slots.append(Slot(image, number, bits))
+        slots.append(Slot(image, number, bits, pattern.led))
     return slots
 
 

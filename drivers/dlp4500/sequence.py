@@ -77,6 +77,10 @@ class Slot:
     image: int  # index of the flash image or of the video frame
     number: int  # pattern number within it
     bits: int = 8  # bit depth
+    led: str | None = None  # colour of the one LED that lights it; None for all that are used
+
+    def lit(self, leds: tuple[str, ...]) -> tuple[str, ...]:
+        return leds if self.led is None else (self.led,)
 
 
 @dataclass(frozen=True)
@@ -160,7 +164,7 @@ def flash_program(
         swap = not images or slot.image != images[-1]
         if swap:
             images.append(slot.image)
-        entries.append(Entry(slot.number, slot.bits, leds, swap=swap))
+        entries.append(Entry(slot.number, slot.bits, slot.lit(leds), swap=swap))
     minimum = max(exposure_us + dark_us, period_us, min_period_us(slots, load_us or {}, repeat))
     program = Program(
         Source.FLASH,
@@ -193,7 +197,7 @@ def video_program(
             bit_planes(slot.bits, slot.number)
             # As TI's GUI sets them: the frame starts the first pattern, which starts the others.
             trigger = PatternTrigger.NONE if k else PatternTrigger.RISING
-            entries.append(Entry(slot.number, slot.bits, leds, trigger, swap=k == 0))
+            entries.append(Entry(slot.number, slot.bits, slot.lit(leds), trigger, swap=k == 0))
     program = Program(Source.VIDEO, tuple(entries), (), exposure_us, exposure_us, repeat)
     check_sequence(program)
     return program

@@ -29,6 +29,7 @@ class ProjectorCaps:
     """Time in which a pattern that is shown repeats, its bit planes one after another: an exposure sees them
     completely if it lasts a whole number of these. 0 where light is steady, or where this is not known."""
     dark_between: bool = True  # whether it can be dark between played patterns
+    leds: tuple[str, ...] = ()  # colours of the LEDs of which one alone can light a pattern
 
 
 @dataclass(frozen=True)
@@ -185,6 +186,13 @@ class Projector(Device):
                 "load",
                 f"pattern {pattern.id} has {pattern.bit_depth} bits",
                 f"the projector shows {sorted(caps.bit_depths)}",
+            )
+        if pattern.led not in (None, *caps.leds):
+            raise CapabilityError(
+                self.name,
+                "load",
+                f"pattern {pattern.id} is lit by the {pattern.led} LED alone",
+                f"the projector lights patterns by {' or '.join(caps.leds) or 'all its light'}",
             )
 
     @abstractmethod

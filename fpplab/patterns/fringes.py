@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Lattice, full_scale
 from fpplab.patterns.fringe_sets import MAX_PATTERN_BITS
+from fpplab.patterns.fringe_sets.even import Even
 from fpplab.patterns.plan import Plan
 
 Level = TypeVar("Level", bound=np.generic)
@@ -21,6 +22,7 @@ class Pattern:
     id: str  # names the pattern in frames and journals
     image: NDArray[np.uint8]  # grey levels [row
     bit_depth: int = MAX_PATTERN_BITS  # bits per mirror that the projector shows
+    led: str | None = None  # colour of the one LED that lights it; None for all that are on
 
 
 def quantise(level: NDArray[np.float64], bit_depth: int = MAX_PATTERN_BITS) -> NDArray[np.uint8]:
@@ -67,7 +69,8 @@ def _make_patterns_cached(plan: Plan, size: tuple[int, int], lattice: Lattice) -
     for i, n, name in plan.steps():
         image = pattern_image(plan, i, n, size, lattice)
         image.flags.writeable = False
-        patterns.append(Pattern(name, image, plan.sets[i].bit_depth))
+        shown = plan.sets[i]
+        patterns.append(Pattern(name, image, shown.bit_depth, shown.led if isinstance(shown, Even) else None))
     return tuple(patterns)
 
 

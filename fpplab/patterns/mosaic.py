@@ -65,9 +65,10 @@ def colours_at(levels: Map, bayer: Bayer, pixels: NDArray[np.int32]) -> Floats:
 
 
 def shares_of(colours: Floats) -> tuple[float, float, float]:
-    """Shares of red, green and blue in what is white, whose mean over the pattern is 1."""
+    """Shares of red, green and blue in the brighter half, which is white; their mean over a mosaic is 1."""
     # colours (N, 3)
-    red, green, blue = np.median(colours / (colours @ [[0.25], [0.5], [0.25]]), axis=0)
+    level = colours @ [0.25, 0.5, 0.25]
+    red, green, blue = colours[level >= np.median(level)].sum(axis=0)
     mean = 0.25 * (red + 2.0 * green + blue)
     return float(red / mean), float(green / mean), float(blue / mean)
 

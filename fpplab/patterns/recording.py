@@ -18,6 +18,7 @@ from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.fringe_sets.even import Even
 from fpplab.patterns.mosaic import Bayer, colours_at, mean_of, without_mosaic
 from fpplab.patterns.motion import Compensation
 from fpplab.patterns.phase_error import relative_harmonics
@@ -280,7 +281,7 @@ class Recording:
         return mean
 
     def colours(self, pixels: NDArray[np.int32]) -> Floats | None:
-        """Give the colours that a Bayer camera sees, under white less black where the plan shows both.
+        """Give the part's colours by single LEDs, or as a Bayer camera sees them, less black if shown.
 
         Parameters
         ----------
@@ -290,21 +291,35 @@ class Recording:
         Returns
         -------
         ndarray of float64, (N, 3), or None
-            Red, green and blue in 8-bit grey levels of the camera; None of a camera without colours.
+            Red, green and blue in 8-bit grey levels of the camera; None where nothing shows colours.
         """
+        of_leds = [light for led in ("red", "green", "blue") if (light := self._even_light(led)) is not None]
+        if len(of_leds) == 3:
+            return np.asarray(
+                np.stack([light[pixels[:, 1], pixels[:, 0]] for light in of_leds], axis=1), np.float64
+            )
         if self.bayer is None:
             return None
-        steps = list(self.plan.steps())
-        even = [k for k, (index, _, _) in enumerate(steps) if self.plan.sets[index].coded_axis is None]
-        white = [k for k in even if self._is_white(*steps[k][:2])]
-        black = [k for k in even if k not in white]
-        frames = [self.frames[k] for k in white] or self._evenly_lit()
-        levels = mean_of(frames, self.grey)
-        if white and black:
-            levels = levels - mean_of([self.frames[k] for k in black], self.grey)
-        if self.merged:
-            levels = levels / self._scale()
-        return colours_at(levels, self.bayer, pixels)
+        light = self._even_light(None)
+        if light is None:
+            light = mean_of(self._evenly_lit(), self.grey)
+            if self.merged:
+                light = light / self._scale()
+        return colours_at(light, self.bayer, pixels)
+
+    def _even_light(self, led: str | None) -> Map | None:
+        """White under one LED or all, less black under the same where it is shown; None without white."""
+        frames: dict[float, list[Image]] = {1.0: [], 0.0: []}
+        for frame, (index, step, _) in zip(self.frames, self.plan.steps(), strict=True):
+            shown = self.plan.sets[index]
+            if isinstance(shown, Even) and shown.led == led and shown.levels[step] in frames:
+                frames[shown.levels[step]].append(frame)
+        if not frames[1.0]:
+            return None
+        light = mean_of(frames[1.0], self.grey)
+        if frames[0.0]:
+            light = light - mean_of(frames[0.0], self.grey)
+        return light if self.merged is None else np.asarray(light / self._scale(), np.float32)
 
     def _evenly_lit(self) -> Sequence[Image]:
         """Frames whose mean is the scene under even light: of fringes, of white, or of all codes."""
@@ -315,6 +330,8 @@ class Recording:
 
     def _is_white(self, index: int, step: int) -> bool:
         shown = self.plan.sets[index]
+        if isinstance(shown, Even) and shown.led:
+            return False
         return shown.coded_axis is None and bool(shown.light(step, np.zeros(1), 1)[0] > 0.5)
 
     def checked(self) -> Recording:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
 
 from fpplab.calibration.model import Calibration
@@ -97,11 +98,13 @@ def characterise_sessions(
 def _board_colours(
     sessions: Sequence[Session], observations: Sequence[Observation]
 ) -> tuple[float, float, float] | None:
-    """Colours of the first board, which is taken for white, at its points."""
+    """Colours of the ground of the first board, which is taken for white."""
     by_name = {session.path.name: session for session in sessions}
-    first = observations[0]
-    pixels = np.rint(first.camera_px).astype(np.int32)
-    colours = by_name[first.name].recording(verify=False).colours(pixels)
+    recording = by_name[observations[0].name].recording(verify=False)
+    inside = np.zeros(recording.frames[0].shape, np.uint8)
+    cv2.fillConvexPoly(inside, cv2.convexHull(np.rint(observations[0].camera_px).astype(np.int32)), (1,))
+    v, u = np.nonzero(inside)
+    colours = recording.colours(np.stack([u, v], axis=1).astype(np.int32))
     return None if colours is None else shares_of(colours)
 
 

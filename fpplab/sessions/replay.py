@@ -14,7 +14,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from fpplab.devices import (
     ProjectorCaps,
     Trigger,
 )
+from fpplab.patterns.fringe_sets.even import LedName
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.sessions.journal import FrameRecord
 from fpplab.sessions.origin import session_origin
@@ -159,7 +160,10 @@ class ReplayProjector(Projector):
     def _caps(self) -> ProjectorCaps:
         size, lattice = self._recording.session.projector()
         depths = {pattern.bit_depth: 0.0 for _, pattern in self._recorded.values()}
-        return ProjectorCaps(size, lattice, depths, trigger_outputs=0, max_patterns=len(self._recorded))
+        recorded = len(self._recorded)
+        return ProjectorCaps(
+            size, lattice, depths, trigger_outputs=0, max_patterns=recorded, leds=get_args(LedName)
+        )
 
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         self._indices = [self._recorded_index(p) for p in patterns]

@@ -13,7 +13,7 @@ from fpplab.core import config
 from fpplab.core.conventions import Floats, Map
 from fpplab.patterns.mosaic import Bayer, colour_factors, colours_at, shares_of, without_mosaic
 from fpplab.patterns.plan import Plan
-from fpplab.patterns.recording import Recording
+from fpplab.patterns.recording import MergedLevels, Recording
 from fpplab.phase import Decoded, decode
 
 SHAPE, SIZE = (160, 256), (912, 1140)
@@ -84,6 +84,27 @@ def test_points_have_the_colours_of_the_part(bayer: Bayer) -> None:
     np.testing.assert_allclose(np.median(colours, axis=0), expected, rtol=0.02)
     np.testing.assert_allclose(shares_of(colours), np.array(PIXELS) / 0.6125, rtol=0.02)
     assert replace(seen, bayer=None).colours(pixels) is None
+
+
+def test_single_leds_colour_points_of_a_camera_without_a_filter() -> None:
+    """White less black under one LED after the other; merged exposures give the same."""
+    leds = {"red": 0.7, "green": 0.5, "blue": 0.2}
+    whites = [{"kind": "even", "levels": [1, 0], "led": led} for led in leds]
+    plan = config.validate({"fringes": [*SETS, *whites]}, Plan, "test")
+    frames = [np.full(SHAPE, 500, np.uint16)] * 16
+    for k, share in enumerate(leds.values()):
+        black = 100 + 10 * k  # closed mirrors leak light of the LED that is on
+        frames += [np.full(SHAPE, black + 4000 * share, np.uint16), np.full(SHAPE, black, np.uint16)]
+    pixels = np.array([[3, 5], [8, 1]], np.int32)
+    colours = Recording(frames, plan, SIZE, 12).colours(pixels)
+    assert colours is not None
+    np.testing.assert_allclose(colours, [[4000.0 / 16.0 * share for share in leds.values()]] * 2)
+    scales = (np.full(SHAPE, 2.0, np.float32),) * len(plan.sets)
+    merged = MergedLevels(2.0, scales, (1.0, 0.01))
+    again = Recording(frames, plan, SIZE, 12, merged=merged).colours(pixels)
+    np.testing.assert_allclose(again, colours)
+    two = plan.model_copy(update={"fringes": plan.sets[:5]})
+    assert Recording(frames[:20], two, SIZE, 12).colours(pixels) is None
 
 
 def test_odd_sizes_unknown_pixels_and_darkness() -> None:

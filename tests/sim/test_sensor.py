@@ -104,7 +104,12 @@ def test_a_camera_without_a_filter_sees_the_colour_of_the_light() -> None:
     assert (colour_shares(lit("green"), "pillars") == 1.0).all()
     for name, share in zip(LEDS, (0.8, 0.4, 0.2), strict=True):
         np.testing.assert_allclose(colour_shares(lit(name), "card"), share)
-    assert 0.2 < colour_shares(lit(*LEDS), "card")[0, 0] < 0.8
+    every = lit(*LEDS)
+    assert 0.2 < colour_shares(every, "card")[0, 0] < 0.8
+    parts = [colour_shares(every, "card", led)[0, 0] for led in LEDS]
+    assert sum(parts) == pytest.approx(colour_shares(every, "card")[0, 0])
+    whites = [colour_shares(every, "pillars", led)[0, 0] for led in LEDS]
+    np.testing.assert_allclose(np.divide(parts, whites), (0.8, 0.4, 0.2), rtol=1e-6)
 
 
 def test_pixels_of_a_filter_get_their_share_of_each_light() -> None:

@@ -8,6 +8,8 @@ from pydantic import Field
 from fpplab.core.conventions import Floats
 from fpplab.patterns.fringe_sets.base import PatternSet
 
+LedName = Literal["red", "green", "blue"]
+
 
 class Even(PatternSet):
     """Images of the same light everywhere, one for each level, such as white and black."""
@@ -15,6 +17,9 @@ class Even(PatternSet):
     kind: Literal["even"] = "even"
     """`even`."""
 
+    led: LedName | None = None
+    """The one LED that lights the images; by default all that are on. White under red, green and blue alone
+    gives points their colours where the camera sees none."""
     levels: Annotated[tuple[Annotated[float, Field(ge=0, le=1)], ...], Field(min_length=1, max_length=256)]
     """Light of each image: 1 is white, 0 is black."""
 

@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.dlp4500.protocol import ENTRY, PatternTrigger, Source, TriggerMode
+from drivers.dlp4500.packing import assign_slots
+from drivers.dlp4500.protocol import COLOURS, ENTRY, PatternTrigger, Source, TriggerMode
 from drivers.dlp4500.sequence import (
     MIN_EXPOSURE_US,
     Entry,
@@ -19,6 +21,7 @@ from drivers.dlp4500.sequence import (
     still_program,
     video_program,
 )
+from fpplab.patterns.fringes import Pattern
 
 EXPOSURE_US = 10_000
 ROWS = {
@@ -188,6 +191,15 @@ def test_patterns_that_share_a_pulse_share_its_exposure() -> None:
 
 
 # --- the video port
+
+
+def test_a_pattern_may_have_an_led_of_its_own() -> None:
+    image = np.zeros((1140, 912), np.uint8)
+    slots = assign_slots([Pattern("all", image), Pattern("red", image, led="red")], 24)
+    used = "green", "blue"
+    for program in (flash_program(slots, 9000, used), video_program(slots, 8333, 16_667, used)):
+        lit = [[colour for colour in COLOURS if entry.values()[colour]] for entry in program.entries]
+        assert lit == [["green", "blue"], ["red"]]
 
 
 def test_frames_from_the_video_port() -> None:
