@@ -121,7 +121,7 @@ def draw(folder: Path, true_depth: Any, limit_um: float) -> None:
     for axis in (left, middle, right):
         axis.axis("off")
         axis.set(xlim=columns, ylim=rows[::-1])
-    causes = ", ".join(finding.cause for finding in diagnosis.findings)
+    causes = ", ".join(finding.cause.key for finding in diagnosis.findings)
     figure.suptitle(f"{diagnosis.verdict}{': ' + causes if causes else ''}", fontweight="bold")
     figure.savefig(sys.argv[1], dpi=80)
     print(diagnosis.sentence)
