@@ -76,7 +76,7 @@ class VirtualBench:
         self.blender = Blender("bench")
         self._analytic = chosen.analytic
         self.light = self._light_of(self.world)
-        self.setup = SceneState(self.world.mounted)
+        self.setup = SceneState(self.world.mounted, has_point_errors=True)
         self.show: ShownPattern | None = None
         self._seen_lit: SceneState | None = None
         self._vibrating: tuple[SceneState, tuple[SceneState, ...]] | None = None
@@ -85,7 +85,7 @@ class VirtualBench:
 
     def open(self) -> None:
         """Start with what the world has mounted, with the projector dark."""
-        self.setup, self.show = SceneState(self.world.mounted), None
+        self.setup, self.show = SceneState(self.world.mounted, has_point_errors=True), None
         self._draws.clear()
         self._count = 0
         with self._naming_file():

@@ -212,7 +212,8 @@ class Twin:
         # Vibration is computed to first order in the displacement: by derivatives of the light where it is
         # computed, else from four pictures of each pattern that serve any number of frames.
         self.world.item(item)
-        shown, sensor, still = tuple(patterns), SensorModel.of(self.world), SceneState(item, held=pose)
+        shown, sensor = tuple(patterns), SensorModel.of(self.world)
+        still = SceneState(item, held=pose, has_point_errors=True)
         counters = self.frame_counter.take(len(shown))
         pictures = self._levels_of_vibrating_frames(still, pose, shown, counters)
         if (changes := Fluctuation.of(self.world)) is not None:

@@ -31,18 +31,24 @@ if TYPE_CHECKING:  # effects that other modules read fields of, for type checker
     from sim.effects.ambient_bands import BandsField, BandsParameters
     from sim.effects.falloff import FalloffField, FalloffParameter
     from sim.effects.flicker import FlickerField, FlickerParameter
+    from sim.effects.point_errors import PointErrorsField, PointErrorsParameters
     from sim.effects.room_lamp import LampParameters, LampsField
     from sim.effects.vibration import VibrationFields, VibrationParameters
 
     class ProjectorEffects(FlickerField, FalloffField):
         """Fields of the section `projector` of a world file."""
 
-    class WorldEffects(VibrationFields, BandsField, LampsField):
+    class WorldEffects(PointErrorsField, VibrationFields, BandsField, LampsField):
         """Fields of a world file."""
 
     @dataclass(frozen=True, eq=False, kw_only=True)
     class EffectParameters(
-        VibrationParameters, BandsParameters, FlickerParameter, LampParameters, FalloffParameter
+        PointErrorsParameters,
+        VibrationParameters,
+        BandsParameters,
+        FlickerParameter,
+        LampParameters,
+        FalloffParameter,
     ):
         """Parameters of all effects."""
 

@@ -115,7 +115,10 @@ class Effect(ABC, Generic[FieldsT_co]):
     is_matched : bool
         Whether a matching looks for it by `propose`.
     varies : bool
-        Whether it differs from frame to frame around the same mean, so that no expected image shows it.
+        Whether it differs from frame to frame or pose to pose around the same mean, so that no expected image
+        shows it.
+    characterises : bool
+        Whether the twin's own frames have to be characterised again after its step.
 
     Examples
     --------
@@ -161,6 +164,7 @@ class Effect(ABC, Generic[FieldsT_co]):
     is_room_light: ClassVar[bool] = False
     is_matched: ClassVar[bool] = True
     varies: ClassVar[bool] = False
+    characterises: ClassVar[bool] = False
 
     def own(self, section: EffectWorld | EffectProjector) -> FieldsT_co:
         """Give the effect's own fields of a section of a world.
@@ -256,6 +260,22 @@ class Effect(ABC, Generic[FieldsT_co]):
             (3,) in mm along the camera's axes, added to that of the other effects.
         """
         return np.zeros(3)
+
+    def point_errors_px(self, world: EffectWorld) -> Floats | None:
+        """Return how large the errors of a board's points are.
+
+        Parameters
+        ----------
+        world : EffectWorld
+            The simulated world.
+
+        Returns
+        -------
+        numpy.ndarray or None
+            (2, 2) standard deviations in camera and projector, in px of each: of single points, and of the
+            smooth functions over the board that the points of a pose share. None for no errors.
+        """
+        return None
 
     def changes_light(self, world: EffectWorld) -> bool:
         """Return whether frames of a world have light that changes by this effect.

@@ -59,6 +59,14 @@ class FrameFluctuation:
         return float(np.sqrt(np.trace(self.random.covariance) + self.oscillation @ self.oscillation))
 
 
+@dataclass(frozen=True, eq=False)
+class ReprojectionErrors:
+    """How large the errors of a characterisation are, in its own poses and in poses left out."""
+
+    px2: Floats  # mean squares (2, 2) of both, in camera and projector, in px²
+    sigma_px2: Floats  # standard uncertainties of them
+
+
 class MatchedParameters(Protocol):
     """Parameters of a twin, of which an effect knows its own."""
 
@@ -99,6 +107,9 @@ class StepContext(Protocol[ParametersT]):
         self, of: Literal["projector", "room", "position"], oscillates: bool = True
     ) -> FrameFluctuation:
         """Estimate how light, relative, or the item's position in mm changes from frame to frame."""
+
+    def reprojection_errors(self) -> tuple[ReprojectionErrors, ReprojectionErrors]:
+        """Compute the errors of the bench's characterisation, and of that of the twin's own frames."""
 
     def room_ripple(self) -> Ripple | None:
         """Find the ripple of the room's light; None where steady light explains the frames as well."""

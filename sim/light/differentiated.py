@@ -1,7 +1,7 @@
 """Computed light with its derivatives, for an item in one pose."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from sim.light.cache import ByteLimitedCache, table_digest
 from sim.light.lamps import RoomLightAt
 from sim.light.mirrors import Mirrors
 from sim.light.plane import computed_motion
-from sim.light.table import MotionTable
+from sim.light.table import LightTable, MotionTable
 from sim.scene import RenderScene, SubpixelView
 from sim.texture import MirrorTexture
 
@@ -31,6 +31,9 @@ class DifferentiatedLight:
     falloff: PatternLevels | None  # of the camera's lens, (height, width)
     motions: ByteLimitedCache[MotionTable]  # tables of last time
     behind: Callable[[Pattern, PixelIndices | None], PatternLevels] | None = None  # (height, width)
+    erring: Callable[[LightTable], LightTable] | None = (
+        None  # displaces samples by errors of a board's points
+    )
 
     def at(self, patterns: tuple[Pattern, ...], pixels: PixelIndices) -> tuple[PatternLevels, PatternLevels]:
         """Compute what `Light.irradiance_at` gives, with derivatives by the places that the pixels see."""
@@ -54,6 +57,8 @@ class DifferentiatedLight:
         """Compute the irradiance of an item that is displaced under every pattern, to first order."""
         # moves (n, 3) mm; returns (height, width)
         table, room = self._trace_motion(None), self.room(None)
+        if self.erring is not None:
+            table = replace(table, table=self.erring(table.table))
         for first, terms in self._looked_up(table, patterns):
             displaced = table.displaced(terms, moves[first : first + len(terms)], room)
             for pattern, item in zip(patterns[first:], displaced, strict=False):

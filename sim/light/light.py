@@ -25,7 +25,7 @@ import numpy as np
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.patterns.fringes import Pattern
 from sim.build import NOTHING, SceneState, build_scene
-from sim.items import standing_surfaces
+from sim.items import item_poses, standing_surfaces
 from sim.light.background import Background
 from sim.light.basis import Basis, PatternLevels
 from sim.light.cache import ByteLimitedCache, TableCache, table_digest
@@ -34,6 +34,7 @@ from sim.light.lamps import RoomLight, point_lamps
 from sim.light.lens import lens_views, vignetting
 from sim.light.mirrors import Mirrors, MirrorStates
 from sim.light.plane import can_compute, computed, computed_motion
+from sim.light.point_errors import displaced_by_errors, point_error_sizes
 from sim.light.solid import can_trace, traced
 from sim.light.table import LightTable, MotionTable
 from sim.scene import COLOURS, PatternRender, RenderScene, RenderSettings, SubpixelView
@@ -90,6 +91,7 @@ class Light:
         self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(TABLE_BYTES)
         self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(CACHE_BYTES)
         self._displaced: tuple[str, LightTable] | None = None
+        self._erring: tuple[SceneState, LightTable] | None = None
         self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(CACHE_BYTES)
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(1 << 30)
         self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache()
@@ -154,8 +156,9 @@ class Light:
             return None
         views, room = self._views(setup), partial(self._room.on, self._in_view(setup))
         behind = None if self._background is None else self._background.behind(setup, self._projector, room)
+        changed = partial(self._with_point_errors, setup) if self._has_point_errors(setup) else None
         return DifferentiatedLight(
-            scene, views, self._projector, texture, room, self._falloff, self._motions, behind
+            scene, views, self._projector, texture, room, self._falloff, self._motions, behind, changed
         )
 
     def _table_at(self, setup: SceneState, pixels: PixelIndices) -> LightTable:
@@ -174,6 +177,22 @@ class Light:
 
     def table(self, setup: SceneState) -> LightTable:
         """Get the direct light on all that is in view, from memory, from disk, or rendered."""
+        if not self._has_point_errors(setup):
+            return self._exact_table(setup)
+        if self._erring is None or self._erring[0] != setup:
+            self._erring = (setup, self._with_point_errors(setup, self._exact_table(setup)))
+        return self._erring[1]
+
+    def _has_point_errors(self, setup: SceneState) -> bool:
+        has_board = setup.has_point_errors and setup.item in self._world.items
+        return has_board and point_error_sizes(self._world) is not None
+
+    def _with_point_errors(self, setup: SceneState, table: LightTable) -> LightTable:
+        _, _, texture = self._built(setup)
+        pose = setup.held or item_poses(self._world, setup.item)[setup.pose]
+        return displaced_by_errors(self._world, setup.item, pose, table, texture.affine[:, :2])
+
+    def _exact_table(self, setup: SceneState) -> LightTable:
         _, scene, _ = self._built(setup)
         key = table_digest(scene, self._views(setup))
         if any(setup.vibration_mm):  # the next frame has another
@@ -197,7 +216,7 @@ class Light:
         for kept in (self._tables, self._motions, self._pictures, self._bases, self._albedos):
             kept.clear()
         self._projector.forget()
-        self._displaced = None
+        self._displaced = self._erring = None
 
     def _project_pattern(
         self, scene: SceneState, shown: ShownPattern, plane_weights: Floats | None

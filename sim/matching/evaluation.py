@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpplab.characterisation import Characterisation, Observation, characterise, finest_periods, observe
+from fpplab.characterisation.pose_effects import FUNCTIONS
 from fpplab.core.conventions import Image
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
+from sim.effects.step import ReprojectionErrors
 from sim.matching.loss import Loss, Similarity, Weights, board_mask, ssim
 from sim.matching.reference import LevelStack, Reference
 from sim.twin import Twin
@@ -92,6 +94,31 @@ def evaluate(
     return TwinEvaluation(Loss(weights, reference.reference_rms_px, own, similarity), characterisation)
 
 
+def characterise_twin(reference: Reference, twin: Twin, poses: Sequence[int]) -> Characterisation:
+    """Characterise the twin by its own frames of some poses."""
+    observations: list[Observation] = []
+    left_out: dict[str, str] = {}
+    for pose in poses:
+        frames = twin.frames(pose, reference.patterns, reference.settings)
+        try:
+            observations.append(_observe_board(reference, pose, frames))
+        except CalibrationError as error:
+            left_out[reference.sessions[pose].path.name] = str(error)
+    return _characterise_twin(reference, observations, left_out, validate=True)
+
+
+def reprojection_errors(characterisation: Characterisation) -> ReprojectionErrors:
+    """Give the errors of a characterisation, with the uncertainty that so many points and poses leave."""
+    rms_px, poses = characterisation.calibration.rms_px, len(characterisation.poses)
+    left_out_px = characterisation.leave_one_out_px or rms_px  # which few poses do not have
+    px2 = np.square(
+        [[figures[name] for name in ("camera", "projector")] for figures in (rms_px, left_out_px)]
+    )
+    # Two coordinates of each point; of the poses two of each smooth function that a pose's points share.
+    free = np.array([[2.0 * characterisation.points], [2.0 * FUNCTIONS * poses]])
+    return ReprojectionErrors(px2, px2 * np.sqrt(2.0 / free))
+
+
 def pose_similarity(reference: Reference, twin: Twin, pose: int) -> list[tuple[float, float]]:
     """Compare the first image of every fringe set in one pose with the twin's, which has no noise."""
     now, images = twin.parameters, reference.one_of_each_set
@@ -115,7 +142,10 @@ def _observe_board(reference: Reference, pose: int, frames: Sequence[Image]) -> 
 
 
 def _characterise_twin(
-    reference: Reference, observations: Sequence[Observation], left_out: Mapping[str, str]
+    reference: Reference,
+    observations: Sequence[Observation],
+    left_out: Mapping[str, str],
+    validate: bool = False,  # what counts is its error and its calibration, not how sure they are
 ) -> Characterisation:
     bench, (size, lattice) = reference.characterisation, reference.projector
     width, height, _ = reference.sessions[0].format
@@ -129,7 +159,7 @@ def _characterise_twin(
             left_out=left_out,
             level=bench.level,
             refine_board=bench.drawn is not None,
-            validate=False,  # what counts is its error and its calibration, not how sure they are
+            validate=validate,
         )
     except CalibrationError as error:
         raise CalibrationError(f"the twin's own frames cannot be characterised: {error}") from error

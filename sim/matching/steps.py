@@ -20,7 +20,8 @@ import numpy as np
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats
 from sim.effects import EFFECTS, Effect
-from sim.effects.step import FrameFluctuation, Ripple
+from sim.effects.step import FrameFluctuation, ReprojectionErrors, Ripple
+from sim.matching.evaluation import characterise_twin, reprojection_errors
 from sim.matching.fluctuation import bands, noise
 from sim.matching.fluctuation.frame_series import fit_fluctuation
 from sim.matching.fluctuation.frame_terms import GAIN, MOVES, ROOM, FrameTerms, terms_of_pose
@@ -81,6 +82,11 @@ class MatchingContext:
         """Estimate how light, relative, or the item's position in mm changes from frame to frame."""
         columns = {"projector": GAIN, "room": ROOM, "position": MOVES}[of]
         return fit_fluctuation([terms.series(columns) for terms in self.frame_terms()], oscillates)
+
+    def reprojection_errors(self) -> tuple[ReprojectionErrors, ReprojectionErrors]:
+        """Compute the errors of the bench's characterisation, and of that of the twin's own frames."""
+        own = characterise_twin(self.reference, self.twin, self.reference.spread_poses(SAMPLED_POSES))
+        return reprojection_errors(self.reference.characterisation), reprojection_errors(own)
 
     def room_ripple(self) -> Ripple | None:
         """Find the ripple of the room's light; None where steady light explains the frames as well."""
@@ -243,6 +249,7 @@ def _steps_of(effects: Sequence[Effect[Document]]) -> tuple[MatchingStep, ...]:
         MatchingStep(
             effect.name,
             effect.propose,
+            characterises=effect.characterises,
             misfit=effect.misfit,
             same_images=effect.varies,
             explains=effect.explains,
