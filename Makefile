@@ -86,6 +86,7 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	for system in win32 darwin; do $(BIN)/mypy --platform $$system -p fpplab -p drivers -p sim || exit 1; done
 	$(BIN)/lint-imports
 
 # The documentation as a site, build/docs/site/index.html; its pages are run first, for their pictures.

@@ -44,7 +44,8 @@ def main() -> None:
 
 def hear_signals() -> None:
     """Have an interruption end the process: nothing has begun. Before this Python itself dies of it."""
-    for number in {_signal.SIGINT, _signal.SIGTERM, getattr(_signal, "SIGHUP", _signal.SIGTERM)}:
+    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")  # the last two of other systems and of Windows
+    for number in (getattr(_signal, name) for name in names if hasattr(_signal, name)):
         if _signal.getsignal(number) is not _signal.SIG_IGN:
             _signal.signal(number, lambda *_: os._exit(130))
 

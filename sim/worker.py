@@ -1,19 +1,21 @@
 """Client of the Blender process: start it, request renders, detect its death, end it.
 
-Blender runs in its own process, because bpy is a whole application with global state. Requests go over a
-socket, pictures through anonymous shared memory: it has no name, so nothing can be left behind, whichever
-process is killed, and it does not depend on the size of /dev/shm.
+Blender runs in its own process, because bpy is a whole application with global state. Requests go to its
+standard input and answers come from its standard output, which are pipes on every system; pictures go through
+memory that is gone with both processes, see `sim.picture_memory`.
 """
 
-import mmap
 import os
+import pickle
 import re
-import socket
 import subprocess
 import sys
 import tempfile
-from multiprocessing.connection import Connection
+import threading
+import time
+from contextlib import suppress
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import IO, Any
 
 import numpy as np
@@ -22,9 +24,46 @@ from numpy.typing import NDArray
 from fpplab.core.errors import ConfigError, DeviceError, DeviceTimeoutError, DisconnectedError
 from fpplab.core.extras import need_extra
 from fpplab.core.system import BLENDER
+from sim.picture_memory import PictureMemory
 from sim.scene import RenderScene, RenderSettings, SubpixelView
 
 START_S = 120.0  # longest time that Blender may take to start, in s (chosen)
+WAIT_S = 0.2  # time in s between which Ctrl-C is heard on Windows (chosen)
+
+_group = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", None)  # Windows has it
+OWN_GROUP: dict[str, Any] = {"creationflags": _group} if _group else {"start_new_session": True}
+"""How a process is started that does not hear Ctrl-C: this one alone decides what happens."""
+
+
+class _Answers:
+    """Answers of a process, which a thread reads: a wait for them can then end, on every system."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._answers: SimpleQueue[tuple[str, Any] | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._read, args=(stream,), daemon=True)
+        self._thread.start()
+
+    def _read(self, stream: IO[bytes]) -> None:
+        with suppress(EOFError, OSError, ValueError, pickle.UnpicklingError), stream:
+            while True:
+                self._answers.put(pickle.load(stream))
+        self._answers.put(None)
+
+    def wait(self, timeout_s: float) -> tuple[str, Any]:
+        """Return the next answer; `EOFError` after the last, `TimeoutError` where none comes."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            with suppress(Empty):
+                answer = self._answers.get(timeout=WAIT_S)
+                if answer is None:
+                    raise EOFError
+                return answer
+            if time.monotonic() > deadline:
+                raise TimeoutError
+
+    def close(self) -> None:
+        """Wait for the thread, whose stream has come to its end."""
+        self._thread.join()
 
 
 class Blender:
@@ -36,9 +75,8 @@ class Blender:
     def __init__(self, name: str) -> None:
         self.name = name
         self._process: subprocess.Popen[bytes] | None = None
-        self._connection: Connection | None = None
-        self._memory = -1
-        self._pixels = np.empty(0, np.float32)
+        self._answers: _Answers | None = None
+        self._memory: PictureMemory | None = None
         self._log: IO[bytes] | None = None
         self._scene: RenderScene | None = None
 
@@ -51,30 +89,20 @@ class Blender:
             return
         need_extra("bpy")
         self.close()
-        ours, theirs = socket.socketpair()
-        try:
-            self._memory = os.memfd_create("fpplab-pictures")
-            self._log = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
-            self._process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-P",
-                    "-m",
-                    f"{__package__}.blender.server",
-                    str(theirs.fileno()),
-                    str(self._memory),
-                ],
-                pass_fds=(theirs.fileno(), self._memory),
-                stdin=subprocess.DEVNULL,
-                stdout=self._log,
-                stderr=self._log,
-                start_new_session=True,  # Ctrl-C reaches this process alone, which decides what happens
-                env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
-            )
-            self._connection = Connection(ours.detach())
-        finally:
-            ours.close()
-            theirs.close()
+        self._memory = PictureMemory()
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
+        paths = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", f"{__package__}.blender.server"],
+            pass_fds=self._memory.inherited,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+            **OWN_GROUP,
+        )
+        assert self._process.stdout is not None
+        self._answers = _Answers(self._process.stdout)
         self._wait_for_answer("start", START_S)
 
     def render(
@@ -90,39 +118,45 @@ class Blender:
         width, height = scene.camera.size
         shape = (len(views), height, width, effort.channels)
         count = int(np.prod(shape))
-        pixels = self._reserve_shared_memory(4 * (count + (textures.size if textures is not None else 0)))
+        pixels = self._reserve_memory(4 * (count + (textures.size if textures is not None else 0)))
         if textures is not None:
             pixels[count : count + textures.size] = textures.ravel()
         if scene is not self._scene:
             self._send("scene", scene)
             self._scene = scene
-        self._send("render", {"textured": textures is not None, "views": views, "effort": effort})
+        assert self._memory is not None
+        self._send(
+            "render",
+            {
+                "place": self._memory.place,
+                "textured": textures is not None,
+                "views": views,
+                "effort": effort,
+            },
+        )
         self._wait_for_answer("render", timeout_s)
         return pixels[:count].reshape(shape)
 
     def close(self) -> None:
         """End the process and release all memory; allowed at any time and any number of times."""
-        if self._connection is not None:
-            self._connection.close()  # which ends the process
         if self._process is not None:
+            assert self._process.stdin is not None
+            with suppress(OSError):  # what was not read any more
+                self._process.stdin.close()  # which ends the process
             try:
                 self._process.wait(timeout=5.0)
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
-        if self._memory >= 0:
-            os.close(self._memory)
-        if self._log is not None:
-            self._log.close()
-        self._process = self._connection = self._log = self._scene = None
-        self._memory, self._pixels = -1, np.empty(0, np.float32)
+        for resource in (self._answers, self._memory, self._log):
+            if resource is not None:
+                resource.close()
+        self._process = self._answers = self._memory = self._log = self._scene = None
 
-    def _reserve_shared_memory(self, size: int) -> NDArray[np.float32]:
-        """Map the shared memory, grown to at least `size` bytes."""
-        if size <= self._pixels.nbytes:
-            return self._pixels
+    def _reserve_memory(self, size: int) -> NDArray[np.float32]:
+        assert self._memory is not None
         try:
-            os.posix_fallocate(self._memory, 0, size)
+            return self._memory.grown_to(size)
         except OSError as error:
             raise DeviceError(
                 self.name,
@@ -130,27 +164,28 @@ class Blender:
                 f"no {size / 1e6:.0f} MB of memory for the pictures ({error.strerror})",
                 "choose a greater binning or fewer sub-pixels in the world file",
             ) from error
-        self._pixels = np.frombuffer(mmap.mmap(self._memory, size), np.float32)
-        return self._pixels
 
     def _send(self, verb: str, content: Any) -> None:
-        assert self._connection is not None
+        assert self._process is not None
+        assert self._process.stdin is not None
         try:
-            self._connection.send((verb, content))
+            pickle.dump((verb, content), self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
+            self._process.stdin.flush()
         except OSError as error:
             raise self._process_ended_error(verb) from error
 
     def _wait_for_answer(self, doing: str, timeout_s: float) -> None:
         """Wait for the process's answer; anything else, including an interruption, ends the process."""
-        assert self._connection is not None
+        assert self._answers is not None
         try:
-            if not self._connection.poll(timeout_s):
-                raise DeviceTimeoutError(
-                    self.name, doing, f"Blender did not answer within {timeout_s:.0f} s", "ask for less work"
-                )
-            verb, content = self._connection.recv()
-        except (EOFError, OSError) as error:
+            verb, content = self._answers.wait(timeout_s)
+        except EOFError as error:
             raise self._process_ended_error(doing) from error
+        except TimeoutError:
+            self._kill()
+            raise DeviceTimeoutError(
+                self.name, doing, f"Blender did not answer within {timeout_s:.0f} s", "ask for less work"
+            ) from None
         except BaseException:
             self._kill()
             raise

@@ -2,7 +2,6 @@
 
 import multiprocessing
 from contextlib import suppress
-from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.shared_memory import SharedMemory
 from typing import Any, Protocol
@@ -45,7 +44,7 @@ class SdlDisplay:
         self.vsync_s = 0.0
         self.info: DisplayInfo | None = None
         self._process: BaseProcess | None = None
-        self._connection: Connection | None = None
+        self._connection: Any = None  # a `Connection`, of a kind that differs between systems
         self._memory: SharedMemory | None = None
 
     @property

@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from fpplab.core.errors import DeviceError
+from fpplab.core.system import posix, system_module
 
 POLL_S = 0.002  # longest time in s between two queries of the emulated device (chosen)
 
@@ -38,14 +39,13 @@ class PseudoTerminal:
         self._plugged = False
 
     def __enter__(self) -> Self:
-        if os.name != "posix":
+        tty = system_module("tty")
+        if tty is None:
             raise DeviceError("emulator", "open", "this system has no pseudo-terminals", "use Linux or macOS")
-        import tty
-
-        self._near, self._far = os.openpty()
+        self._near, self._far = posix.openpty()
         tty.setraw(self._far)  # or the system would echo the device's output back to it
-        os.set_blocking(self._near, False)
-        self.port, self._plugged = os.ttyname(self._far), True
+        posix.set_blocking(self._near, False)
+        self.port, self._plugged = posix.ttyname(self._far), True
         self._served.start()
         return self
 

@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.video_camera import structures as v4l2
+from fpplab.core.system import posix, system_module
 
-try:
-    import fcntl
-except ImportError:  # the interface is Linux's
-    fcntl = None  # type: ignore[assignment]
+fcntl = system_module("fcntl")  # None where the kernel has no such interface: it is Linux's
 
 BUFFERS = 4  # frames that the kernel may fill before one is taken (chosen: enough for a camera never to wait)
 
@@ -52,7 +50,7 @@ class VideoDevice:
     def __init__(self, path: str) -> None:
         if fcntl is None:
             raise OSError(errno.ENOSYS, "V4L2 is not available on this system")
-        self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+        self._file = os.open(path, os.O_RDWR | posix.O_NONBLOCK)
         self._memory: list[mmap.mmap] = []
 
     def close(self) -> None:

@@ -6,10 +6,9 @@ from contextlib import suppress
 from mmap import mmap
 from typing import Any
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+from fpplab.core.system import posix, system_module
+
+fcntl = system_module("fcntl")  # None on Windows
 
 STAGED_BYTES = 1 << 22  # bytes that are written at a time (chosen)
 
@@ -63,4 +62,4 @@ def _set_direct(handle: int, direct: bool) -> None:
         return
     flags = fcntl.fcntl(handle, fcntl.F_GETFL)
     with suppress(OSError):
-        fcntl.fcntl(handle, fcntl.F_SETFL, flags | os.O_DIRECT if direct else flags & ~os.O_DIRECT)
+        fcntl.fcntl(handle, fcntl.F_SETFL, flags | posix.O_DIRECT if direct else flags & ~posix.O_DIRECT)

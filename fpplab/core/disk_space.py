@@ -36,5 +36,7 @@ def disk_bytes(folder: Path) -> int:
     total = 0
     for path in folder.rglob("*"):
         with suppress(FileNotFoundError):  # another process has deleted it
-            total += path.lstat().st_blocks * 512
+            status = path.lstat()
+            blocks: int | None = getattr(status, "st_blocks", None)  # Windows does not count them
+            total += status.st_size if blocks is None else blocks * 512
     return total

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.files import open_regular
+from fpplab.core.system import system_module
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,10 @@ def _read_stdin_in_child(kind: str, max_bytes: int) -> None:
 
 
 def _limit_memory(max_bytes: int) -> None:
-    with suppress(ImportError, ValueError, OSError):  # a system without this limit, or with a stricter one
-        import resource
-
+    resource = system_module("resource")
+    if resource is None:  # Windows
+        return
+    with suppress(ValueError, OSError):  # a system with a stricter limit, or without it
         resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 

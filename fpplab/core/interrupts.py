@@ -18,8 +18,9 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""SIGHUP comes where the terminal, or the connection to it, is gone; Windows has none."""
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+SIGNALS = tuple(getattr(signal, name) for name in NAMES if hasattr(signal, name))
+"""SIGHUP comes where the terminal, or the connection to it, is gone; on Windows it is SIGBREAK."""
 AGAIN_S = 0.02  # time in s after which an interruption that came at a bad moment is tried again (chosen)
 CLOSING_S = 3.0  # time in s in which others are ignored, while devices are closed (chosen)
 CANCELLED = 130  # exit code, as shells have it of programs that SIGINT ended: 128 and the signal's number, 2

@@ -17,11 +17,9 @@ from typing import Any
 
 from fpplab.core.errors import DataError
 from fpplab.core.strict_json import parse_object
+from fpplab.core.system import system_module
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+fcntl = system_module("fcntl")  # None on Windows
 
 FIRST_BYTE, SHARES = 1 << 30, 32
 """Where the bytes begin that are locked on Windows, and how many processes can share a lock there."""
@@ -50,6 +48,7 @@ def _lock_bytes(handle: int, first: int, count: int) -> bool:
     import msvcrt
 
     windows: Any = msvcrt  # whose types are those of another system
+    place = os.lseek(handle, 0, os.SEEK_CUR)
     os.lseek(handle, first, os.SEEK_SET)
     try:
         windows.locking(handle, windows.LK_NBLCK, count)
@@ -57,6 +56,8 @@ def _lock_bytes(handle: int, first: int, count: int) -> bool:
         if error.errno in (errno.EACCES, errno.EDEADLK):
             return False
         raise
+    finally:
+        os.lseek(handle, place, os.SEEK_SET)  # or what is written next would begin behind the locked bytes
     return True
 
 

@@ -1,9 +1,14 @@
-"""System libraries that the Python packages need and pip cannot install; run as a program it names them."""
+"""What differs between systems: modules, and libraries that Python packages need and pip cannot install.
+
+Run as a program it names the libraries that are missing.
+"""
 
 import ctypes
 import os
 import sys
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 BLENDER = {
     "libX11.so.6": "libx11-6",
@@ -17,6 +22,18 @@ BLENDER = {
 }
 
 USB = {"libusb-1.0.so.0": "libusb-1.0-0"}  # debian packages of the libraries that pyusb and hidapi use
+
+
+posix: Any = os
+"""`os` for what Windows lacks of it."""
+
+
+def system_module(name: str) -> Any:
+    """Import a module that not every system has; None where it is missing."""
+    try:
+        return import_module(name)
+    except ImportError:
+        return None
 
 
 def cache_directory() -> Path:

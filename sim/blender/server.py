@@ -1,43 +1,51 @@
 """The Blender process: answers the requests of `sim.worker` and writes pictures to shared memory.
 
-Started as `python -m sim.blender.server SOCKET MEMORY` with two inherited file descriptors. It ends when the
-socket is closed, whatever it is doing, so that it never outlives the process that started it.
+Started as `python -m sim.blender.server`. It ends when its standard input is closed, whatever it is doing, so
+that it never outlives the process that started it.
 """
 
-import mmap
 import os
-import select
+import pickle
 import sys
 import threading
 import warnings
-from multiprocessing.connection import Connection
+from contextlib import suppress
+from queue import SimpleQueue
+from typing import IO, Any
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.blender.scene import BlenderScene
+from sim.picture_memory import MemoryPlace
 from sim.scene import RenderRefused, RenderScene, RenderSettings, SubpixelView
 
 
-def serve_renders(connection: Connection, memory: int) -> None:
-    """Answer requests until the other end is closed."""
-    renderer, scene, pixels = BlenderScene(), None, np.empty(0, np.float32)
-    connection.send(("ready", bpy.app.version_string))
+def serve_renders(requests: "SimpleQueue[tuple[str, Any]]", answers: IO[bytes]) -> None:
+    """Answer requests until the process ends."""
+
+    def answer(verb: str, content: str | None) -> None:
+        pickle.dump((verb, content), answers)
+        answers.flush()
+
+    renderer, scene = BlenderScene(), None
+    place, pixels = MemoryPlace(0), np.empty(0, np.float32)
+    answer("ready", bpy.app.version_string)
     while True:
-        verb, content = connection.recv()
+        verb, content = requests.get()
         try:
             if verb == "scene":
                 scene = content
                 continue
-            if os.fstat(memory).st_size > pixels.nbytes:
-                pixels = np.frombuffer(mmap.mmap(memory, 0), np.float32)
-            _render_views(renderer, scene, pixels, **content)
-            connection.send(("done", None))
+            if content["place"] != place:
+                place, pixels = content["place"], content["place"].mapped()
+            _render_views(renderer, scene, pixels, **{k: v for k, v in content.items() if k != "place"})
+            answer("done", None)
         except RenderRefused as refused:
-            connection.send(("refused", str(refused)))
+            answer("refused", str(refused))
         except Exception as error:  # noqa: BLE001 - reported to the process that asked
-            connection.send(("failed", f"{type(error).__name__}: {error}"))
+            answer("failed", f"{type(error).__name__}: {error}")
 
 
 def _render_views(
@@ -60,28 +68,25 @@ def _render_views(
     renderer.render(scene, textures, views, effort, pixels[:count].reshape(shape))
 
 
-def _end_with(socket: int) -> None:
-    """End at once when the other end of the socket is closed, even in the middle of a render."""
-    watch = select.poll()
-    watch.register(socket, 0)
-
-    def wait() -> None:
-        watch.poll()
-        os._exit(0)
-
-    threading.Thread(target=wait, daemon=True).start()
+def _read(stream: IO[bytes], requests: "SimpleQueue[tuple[str, Any]]") -> None:
+    """Pass requests on; at their end the process ends at once, even in the middle of a render."""
+    with suppress(EOFError, OSError, pickle.UnpicklingError):
+        while True:
+            requests.put(pickle.load(stream))
+    os._exit(0)
 
 
-def main(arguments: list[str]) -> None:
-    """Serve on the inherited socket and memory."""
-    socket, memory = map(int, arguments)
+def main() -> None:
+    """Serve on standard input and output."""
     warnings.simplefilter("ignore", DeprecationWarning)
-    _end_with(socket)
-    try:
-        serve_renders(Connection(socket), memory)
-    except (EOFError, OSError):
-        os._exit(0)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what Blender prints is no answer
+    requests: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+    threading.Thread(target=_read, args=(sys.stdin.buffer, requests), daemon=True).start()
+    with suppress(OSError):  # nobody reads any more
+        serve_renders(requests, answers)
+    os._exit(0)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -178,3 +178,13 @@ print(sorted(path.name for path in folder.iterdir()))
 def test_all_that_locks_does_without_what_windows_lacks(tmp_path: Path) -> None:
     with program(SESSION.replace("WINDOWS", WINDOWS), str(tmp_path)) as process:
         assert line(process) == "['cloud.ply', 'shard_00000']"
+
+
+def test_a_file_is_written_from_its_beginning_after_it_was_locked(system: str, tmp_path: Path) -> None:
+    text = "from fpplab.core.lock import open_lock, try_lock\nimport os\n"
+    text += (
+        f"handle = open_lock({str(tmp_path / 'file')!r})\nassert try_lock(handle)\nos.write(handle, b'1')\n"
+    )
+    with program(system + text) as writer:
+        writer.wait()
+    assert (tmp_path / "file").read_bytes() == b"1"

@@ -311,11 +311,10 @@ def test_a_part_that_has_changed_is_read_again(tmp_path: Path) -> None:
 # The camera where no shader of ours runs -------------------------------------------------------------
 
 WITHOUT_SHADERS = """
-import sys
 import sim.blender.scene as scene
 from sim.blender.server import main
 scene.runs_osl = lambda device: False
-main(sys.argv[1:])
+main()
 """
 
 
@@ -329,9 +328,7 @@ def without_shaders() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "sim.worker.subprocess.Popen",
-            lambda command, **options: start(
-                [sys.executable, "-P", "-c", WITHOUT_SHADERS, *command[-2:]], **options
-            ),
+            lambda command, **options: start([sys.executable, "-P", "-c", WITHOUT_SHADERS], **options),
         )
         blender.start()
     yield blender

@@ -137,10 +137,10 @@ def test_interruption_ends_the_process_and_the_next_render_starts_another(
     blender.start()
     pid = blender.pid
 
-    def interrupted(timeout: float) -> bool:
+    def interrupted(timeout_s: float) -> bool:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(blender._connection, "poll", interrupted, raising=False)
+    monkeypatch.setattr(blender._answers, "wait", interrupted)
     with pytest.raises(KeyboardInterrupt):
         blender.render(scene, None, MIDDLE, RenderSettings(), 60)
     assert pid is not None

@@ -8,7 +8,6 @@ Source: Linux, Documentation/usb/usbip_protocol.rst and drivers/usb/usbip/vhci_s
 """
 
 import errno
-import os
 import select
 import socket
 import struct
@@ -23,6 +22,7 @@ from drivers.dlp4500.transport import INTERFACE, PRODUCT, VENDOR
 from drivers.emulators.dlpc350.descriptors import INWARDS, ControlEndpoint, endpoint_in, endpoint_out
 from drivers.emulators.dlpc350.usb import EmulatedHid
 from fpplab.core.errors import DeviceError
+from fpplab.core.system import posix
 
 HUB = Path("/sys/devices/platform/vhci_hcd.0")  # directory of the virtual hub in sysfs
 NAME = "emulator"  # name of the device in error messages
@@ -175,7 +175,7 @@ def attach(cable: socket.socket, speed: int = 2) -> None:
             file.write(order)
     except PermissionError as error:
         raise DeviceError(
-            NAME, "plug in", f"user {os.getuid()} may not write {HUB}/attach", "start it with sudo"
+            NAME, "plug in", f"user {posix.getuid()} may not write {HUB}/attach", "start it with sudo"
         ) from error
     except OSError as error:
         raise DeviceError(NAME, "plug in", f"the kernel's USB/IP hub refuses ({error.strerror})") from error

@@ -9,13 +9,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from fpplab.core.system import system_module
 from fpplab.setup.live.orders import BY_KEY, Orders
 
-try:
-    import termios
-    import tty
-except ImportError:  # Windows
-    termios = None  # type: ignore[assignment]
+termios, tty = system_module("termios"), system_module("tty")  # None on Windows
 
 POLL_S = 0.1  # time in s after which the thread that reads keys checks whether it is to end (chosen)
 PREFIXES = "\x00\xe0"  # what Windows puts before the code of a key that is no character, such as an arrow
