@@ -19,7 +19,7 @@ from sim.effects.base import Effect, EffectWorld
 from sim.effects.step import ParametersT, StepContext
 from sim.parameter_entry import table_entry
 
-Size = Annotated[float, Field(ge=0, le=10)]
+ErrorSizePx = Annotated[float, Field(ge=0, le=10)]
 MIN_SIGNIFICANCE = 3.0
 """Standard uncertainties by which the bench's errors must exceed the twin's (chosen: 1 in 700 by chance)."""
 
@@ -27,9 +27,9 @@ MIN_SIGNIFICANCE = 3.0
 class PointErrors(Document):
     """Standard deviations in the camera, in its px, and in the projector, in px of the projector."""
 
-    points_px: tuple[Size, Size] = (0.0, 0.0)
+    points_px: tuple[ErrorSizePx, ErrorSizePx] = (0.0, 0.0)
     """Of each coordinate of each point."""
-    poses_px: tuple[Size, Size] = (0.0, 0.0)
+    poses_px: tuple[ErrorSizePx, ErrorSizePx] = (0.0, 0.0)
     """Of each of six smooth functions over the board, by which all points of a pose are displaced."""
 
 
