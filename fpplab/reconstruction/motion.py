@@ -1,10 +1,9 @@
 """Parts that move evenly while they are scanned: their frames as if they had stood still.
 
-A part that moves shows each frame of a fringe set at another phase. Beside a sinusoid, its frames then leave
-a rest, which vanishes where they are followed along the right displacement and fitted at the phases that they
-were taken at. The displacement is one vector for all pixels of a part; what rests beside still pixels and
-beside followed ones tells the part from what stands still. Everything is given for the middle of the finest
-set.
+A part that moves shows each frame of a fringe set at another phase. A sinusoid then leaves a residual of its
+frames, which vanishes where they are followed along the right displacement and fitted at the phases at which
+they were taken. The displacement is one vector for all pixels of a part; the residuals of still and of
+followed pixels tell the part from what stands still. Everything is given for the middle of the finest set.
 """
 
 from __future__ import annotations
@@ -61,15 +60,15 @@ def compensate_motion(recording: Recording, calibration: Calibration) -> Recordi
     follower = _Follower(recording, calibration, depth, float(noise))
     regions = _regions(follower, tiles)
     for _ in range(MOTION.passes):
-        depth, before = _depth(_stilled(follower, regions), calibration, rough=False), regions
+        depth, before = _depth(_as_at_rest(follower, regions), calibration, rough=False), regions
         if depth is None or not regions:
             break
         follower = replace(follower, depth=depth)
-        regions = [_again(follower, region) for region in regions]
+        regions = [_refitted(follower, region) for region in regions]
         changes = [np.abs(a.moved - b.moved).max() for a, b in zip(before, regions, strict=True)]
         if max(changes) < MOTION.tolerance_mm:
             break
-    return _stilled(follower, regions)
+    return _as_at_rest(follower, regions)
 
 
 def _shares(recording: Recording) -> Floats:
@@ -228,26 +227,27 @@ class _Follower:
         ]
         return np.stack(levels), shifts, np.asarray(seen)
 
-    def rests(self, pixels: Pixels, moved: Floats, *, gains: bool = True) -> Floats:
-        """What sinusoids, and the lamp's gains, leave of the followed levels, over their noise, (M, P)."""
-        rests, offsets = list[Floats](), list[Floats]()
+    def residuals(self, pixels: Pixels, moved: Floats, *, gains: bool = True) -> Floats:
+        """Compute what sinusoids and the lamp's gains leave of the followed levels, over their noise."""
+        # returns (M, P)
+        residuals, offsets = list[Floats](), list[Floats]()
         for k, fringe in enumerate(self.recording.plan.fringes):
             levels, shifts, _ = self.followed(pixels, moved, k)
-            fitted, rest, _ = _fit(levels, shifts)
+            fitted, residual, _ = _fit(levels, shifts)
             if fringe.images > 3:
-                rests.append(_without_gains(rest, levels - rest) if gains else rest)
+                residuals.append(_without_gains(residual, levels - residual) if gains else residual)
             if fringe.stripes >= COMMON_ERRORS.min_stripes:
                 offsets.append(fitted[:1])
         if len(offsets) > 1:
             mean = np.mean(offsets, axis=0)
-            rests += [_without_gains(each - mean, mean) for each in offsets]
-        return np.concatenate(rests) / self.noise
+            residuals += [_without_gains(each - mean, mean) for each in offsets]
+        return np.concatenate(residuals) / self.noise
 
 
-def _without_gains(rest: Floats, levels: Floats) -> Floats:
+def _without_gains(residual: Floats, levels: Floats) -> Floats:
     """Take off what each frame shows brighter than others at all pixels."""
-    gains = np.sum(rest * levels, axis=1) / np.sum(levels**2, axis=1)
-    return np.asarray(rest - gains[:, None] * levels)
+    gains = np.sum(residual * levels, axis=1) / np.sum(levels**2, axis=1)
+    return np.asarray(residual - gains[:, None] * levels)
 
 
 def _fit(levels: Floats, shifts: Floats) -> tuple[Floats, Floats, Floats]:
@@ -266,8 +266,8 @@ class _Region:
     moved: Floats  # (3,) mm over the scan
     covariance: Floats
     mask: Mask  # its pixels
-    neither: Mask  # those nearby that neither follow it nor stand still
-    rest: float  # mean square of what it leaves, typically, over that of noise
+    swept: Mask  # those nearby that neither follow it nor stand still
+    residual_ratio: float  # mean square of what it leaves, typically, over that of noise
 
 
 def _regions(follower: _Follower, tiles: _Tiles) -> list[_Region]:
@@ -277,7 +277,7 @@ def _regions(follower: _Follower, tiles: _Tiles) -> list[_Region]:
         if taken[tuple(seeds.T)].mean() > 0.5:  # beside another group of the same part
             continue
         few = seeds[: MOTION.trial_pixels]
-        trials = list(_trials(follower, tiles, group, few))
+        trials = list(_start_displacements(follower, tiles, group, few))
         costs = [_cost(follower, trial, few) for trial in trials]
         best = [_minimum(follower, trials[k], few)[0] for k in np.argsort(costs)[: MOTION.refined_trials]]
         start = min(best, key=lambda m: (not _runs_forward(follower, m, few), _cost(follower, m, few)))
@@ -288,7 +288,7 @@ def _regions(follower: _Follower, tiles: _Tiles) -> list[_Region]:
     return regions
 
 
-def _again(follower: _Follower, region: _Region) -> _Region:
+def _refitted(follower: _Follower, region: _Region) -> _Region:
     """Fit a part once more by its inner pixels."""
     inner = np.argwhere(binary_erosion(region.mask, np.ones((MOTION.window_px, MOTION.window_px))))
     seeds = np.random.default_rng(0).permutation(inner if len(inner) else np.argwhere(region.mask))
@@ -297,28 +297,28 @@ def _again(follower: _Follower, region: _Region) -> _Region:
 
 def _region(follower: _Follower, start: Floats, seeds: Pixels, taken: Mask, window_px: int) -> _Region:
     """Refine a displacement by pixels that follow it, and tell which pixels do."""
-    power = np.square(follower.rests(seeds, start)).sum(axis=0)
+    power = np.square(follower.residuals(seeds, start)).sum(axis=0)
     seeds = seeds[power <= MOTION.outlier_ratio * np.median(power)]
     moved, covariance = _minimum(follower, start, seeds)
-    rest = np.median(np.square(follower.rests(seeds, moved)).sum(axis=0)) / follower.freedom
-    mask, neither = _part(follower, seeds, moved, window_px)
-    return _Region(moved, covariance, mask & ~taken, neither, float(rest))
+    residual = np.median(np.square(follower.residuals(seeds, moved)).sum(axis=0)) / follower.freedom
+    mask, swept = _part(follower, seeds, moved, window_px)
+    return _Region(moved, covariance, mask & ~taken, swept, float(residual))
 
 
 def _is_even(follower: _Follower, moved: Floats, pixels: Pixels) -> bool:
     """Whether frames follow a displacement evenly, as by no vibration, and leave much less than at rest."""
     pixels = pixels[:: max(1, len(pixels) // MOTION.fitted_pixels)]
-    still, followed = (np.square(follower.rests(pixels, m)).sum(axis=0) for m in (np.zeros(3), moved))
+    still, followed = (np.square(follower.residuals(pixels, m)).sum(axis=0) for m in (np.zeros(3), moved))
     if np.median(still) < MOTION.min_power_ratio * np.median(followed):
         return False
     jitters, ways = list[Floats](), list[Floats]()
     for k, fringe in enumerate(follower.recording.plan.fringes):
         if fringe.images > 3 and fringe.stripes >= COMMON_ERRORS.min_stripes:
             levels, shifts, _ = follower.followed(pixels, moved, k)
-            (_, c, s), rest, _ = _fit(levels, shifts)
+            (_, c, s), residual, _ = _fit(levels, shifts)
             by_phase = s * np.cos(shifts) - c * np.sin(shifts)
             share = fringe.images / (fringe.images - 3) / np.sum(by_phase**2, axis=1)
-            jitters.append(np.sum(rest * by_phase, axis=1) * share)
+            jitters.append(np.sum(residual * by_phase, axis=1) * share)
             way = (shifts - fringe.phase_shifts()[:, None]).mean(axis=1)
             ways.append(way - way.mean())
     jitter, way = (float(np.sqrt(np.mean(np.concatenate(each) ** 2))) for each in (jitters, ways))
@@ -353,7 +353,7 @@ def _runs_forward(follower: _Follower, moved: Floats, pixels: Pixels) -> bool:
 
 def _cost(follower: _Follower, moved: Floats, pixels: Pixels) -> float:
     """Half of what remains, in squares of its noise; outliers count by their size."""
-    robust = np.sqrt(1.0 + np.square(follower.rests(pixels, moved) / MOTION.outlier_sigmas)) - 1.0
+    robust = np.sqrt(1.0 + np.square(follower.residuals(pixels, moved) / MOTION.outlier_sigmas)) - 1.0
     return float(MOTION.outlier_sigmas**2 * robust.sum() + 0.5 * np.square(moved / MOTION.prior_mm).sum())
 
 
@@ -361,7 +361,7 @@ def _by_least_squares(follower: _Follower, start: Floats, pixels: Pixels) -> Flo
     """Near the displacement that costs least, also from far away."""
 
     def values(moved: Floats) -> Floats:
-        return np.asarray(np.append(follower.rests(pixels, moved).ravel(), moved / MOTION.prior_mm))
+        return np.asarray(np.append(follower.residuals(pixels, moved).ravel(), moved / MOTION.prior_mm))
 
     def slopes(moved: Floats) -> Floats:
         here, step = values(moved), MOTION.derivative_mm
@@ -405,7 +405,7 @@ def _minimum(follower: _Follower, start: Floats, pixels: Pixels) -> tuple[Floats
     return moved, inverse
 
 
-def _trials(follower: _Follower, tiles: _Tiles, group: int, pixels: Pixels) -> Iterator[Floats]:
+def _start_displacements(follower: _Follower, tiles: _Tiles, group: int, pixels: Pixels) -> Iterator[Floats]:
     """Displacements to begin with: along the axis as the tiles tell, and across it."""
     powers = tiles.powers[tiles.groups == group]
     curve = (powers / powers.min(axis=1, keepdims=True)).mean(axis=0)
@@ -437,7 +437,7 @@ def _part(follower: _Follower, seeds: Pixels, moved: Floats, window_px: int) -> 
     blocks = np.array_split(nearby.reshape(2, -1).T, nearby[0].size // MOTION.block_pixels + 1)
 
     def left(displacement: Floats) -> Floats:
-        power = [np.square(follower.rests(b, displacement, gains=False)).sum(axis=0) for b in blocks]
+        power = [np.square(follower.residuals(b, displacement, gains=False)).sum(axis=0) for b in blocks]
         return np.asarray(uniform_filter(np.concatenate(power).reshape(nearby[0].shape), window_px))
 
     chance = MOTION.chance_sigmas * np.sqrt(2.0 * follower.freedom) / window_px
@@ -454,12 +454,12 @@ def _part(follower: _Follower, seeds: Pixels, moved: Floats, window_px: int) -> 
     groups = label(part)[0]
     own = np.unique(groups[tuple(seeds.T)])
     mask = binary_fill_holes(np.isin(groups, own[own > 0]))
-    neither = np.zeros_like(part)
-    neither[first[0] : end[0], first[1] : end[1]] = still > MOTION.outlier_ratio * typical
-    return mask, neither & ~mask
+    swept = np.zeros_like(part)
+    swept[first[0] : end[0], first[1] : end[1]] = still > MOTION.outlier_ratio * typical
+    return mask, swept & ~mask
 
 
-def _stilled(follower: _Follower, regions: Sequence[_Region]) -> Recording:
+def _as_at_rest(follower: _Follower, regions: Sequence[_Region]) -> Recording:
     """Replace the frames of parts that move; where they passed by, frames show no fringes."""
     recording, follower = follower.recording, replace(follower, blur_px=0.0)
     if not regions:
@@ -468,11 +468,11 @@ def _stilled(follower: _Follower, regions: Sequence[_Region]) -> Recording:
     noise, left = np.ones(follower.depth.shape, np.float32), np.zeros(follower.depth.shape, np.float32)
     parts, passed = list[PartMotion](), np.zeros(noise.shape, np.bool_)
     for region in regions:
-        part, ratio = _told(follower, region)
+        part, ratio = _part_motion(follower, region)
         parts.append(part)
         if part.is_compensated:
             noise[region.mask], left[region.mask] = ratio, part.left_px
-            passed |= _follow(follower, region, frames) | region.neither
+            passed |= _follow(follower, region, frames) | region.swept
     passed &= ~np.any([region.mask for region in regions], axis=0)
     for frame in frames[1:]:
         frame[passed] = frames[0][passed]
@@ -486,10 +486,10 @@ def _follow(follower: _Follower, region: _Region, frames: list[Image]) -> Mask:
     passed = np.zeros(region.mask.shape, np.bool_)
     for k, fringe in enumerate(plan.fringes):
         levels, shifts, seen = follower.followed(pixels, region.moved, k)
-        fitted, rest, _ = _fit(levels, shifts)
+        fitted, residual, _ = _fit(levels, shifts)
         steps = fringe.phase_shifts()
         shown = fitted[0] + np.outer(np.cos(steps), fitted[1]) + np.outer(np.sin(steps), fitted[2])
-        shown += beyond_fringe(steps) @ rest
+        shown += beyond_fringe(steps) @ residual
         first, end = plan.set_starts[k : k + 2]
         for frame, level, at in zip(frames[first:end], shown, seen, strict=True):
             frame[own] = np.clip(np.rint(level), 0, top).astype(frame.dtype)
@@ -498,7 +498,7 @@ def _follow(follower: _Follower, region: _Region, frames: list[Image]) -> Mask:
     return np.asarray(binary_dilation(passed, np.ones((3, 3))))  # the lens blurs its edge
 
 
-def _told(follower: _Follower, region: _Region) -> tuple[PartMotion, Floats]:
+def _part_motion(follower: _Follower, region: _Region) -> tuple[PartMotion, Floats]:
     """What a part did, and how many times greater the noise of its pixels' coordinates gets (P,)."""
     plan, pixels, moved = follower.recording.plan, np.argwhere(region.mask), region.moved
     k = plan.finest_set(plan.axes[0])
@@ -526,6 +526,6 @@ def _told(follower: _Follower, region: _Region) -> tuple[PartMotion, Floats]:
         len(pixels),
         to_px * float(np.sqrt(np.mean(off**2))),
         to_px * float(left),
-        bool(np.median(ratio) <= MOTION.max_noise_ratio and region.rest <= MOTION.max_rest_ratio),
+        bool(np.median(ratio) <= MOTION.max_noise_ratio and region.residual_ratio <= MOTION.max_rest_ratio),
     )
     return part, ratio
