@@ -23,13 +23,14 @@ from fpplab.phase.order_risk import wrong_order_chance
 def fine_plan(
     calibration: Calibration,
     depth_mm: DepthInterval,
-    blur_px: float = LIMITS.blur_px,
+    blur_px: float | None = None,
     noise: float | None = None,
 ) -> Plan:
     """Choose the sets along the axis that shows depth, of which calibration and depth tell the orders.
 
     With `noise`, of a grey level as a share of the modulation without blur, refuse a plan that it confuses.
     """
+    blur_px = LIMITS.blur_px if blur_px is None else blur_px
     spans = _spans_px(calibration, depth_mm)
     axis = AXES[int(np.argmax(spans))]
     length, span_px = calibration.projector.size[AXES.index(axis)], float(spans.max())

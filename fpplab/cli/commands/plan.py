@@ -25,7 +25,6 @@ from fpplab.cli.app import (
 )
 from fpplab.cli.completion import names_of, option
 from fpplab.core.errors import DataError
-from fpplab.phase.limits import FINE_PLAN
 
 plan_app = typer.Typer(
     cls=Commands,
@@ -100,9 +99,14 @@ def fine_command(
     ],
     out: Out,
     blur: Annotated[
-        float,
-        option("--blur", "Of the fringes, as a standard deviation in projector px.", min=0, max=2.5),
-    ] = FINE_PLAN.blur_px,
+        float | None,
+        option(
+            "--blur",
+            "Of the fringes, as a standard deviation in projector px; left out, that of a sharp projector.",
+            min=0,
+            max=2.5,
+        ),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
