@@ -5,8 +5,6 @@ scatter of a phase by equal steps under the noise of each pixel, which a camera 
 gets as much light. Board and card are the twin's, lit by three LEDs.
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import asdict
 from pathlib import Path

@@ -4,8 +4,6 @@ Frames are drawn by formulas: a bulged part with patches, which moves evenly, be
 are those of the part's points at the middle of the finest set, less those of a part at rest, in squares.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """How parts moved while a recording was taken, and what is known of the frames that stand in for it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from fpplab.core.conventions import Map

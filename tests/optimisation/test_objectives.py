@@ -16,8 +16,6 @@ from tests.support.searching import study
 
 ROOT = Path(__file__).parents[2]
 LIGHT = '''
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """Frames of a Bayer camera: decoded raw, compared without a mosaic, and the colours of points."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import get_args
 

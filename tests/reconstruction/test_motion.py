@@ -1,7 +1,5 @@
 """A part that moves evenly during a scan is compensated and told; vibration is left alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
