@@ -14,7 +14,7 @@ from typing import Literal
 
 from fpplab.core.extras import EXTRAS
 from fpplab.core.host import extra_by_package, package_version
-from fpplab.core.system import BLENDER, USB, cache_directory, missing
+from fpplab.core.system import BLENDER, LINUX, USB, cache_directory, missing
 from fpplab.core.units import readable_bytes
 from fpplab.core.version import __version__
 
@@ -74,7 +74,9 @@ def check_packages() -> list[DoctorFinding]:
 
 
 def check_libraries() -> list[DoctorFinding]:
-    findings = []
+    findings: list[DoctorFinding] = []
+    if not LINUX:
+        return findings
     for name, module, libraries in (("Blender's libraries", "bpy", BLENDER), ("USB", "usb", USB)):
         if find_spec(module) is not None:
             lacking = missing(libraries)

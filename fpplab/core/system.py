@@ -22,6 +22,8 @@ BLENDER = {
 }
 
 USB = {"libusb-1.0.so.0": "libusb-1.0-0"}  # debian packages of the libraries that pyusb and hidapi use
+LINUX = sys.platform.startswith("linux")
+"""Whether packages need libraries of the system; on Windows and macOS they bring their own."""
 
 
 posix: Any = os
@@ -42,7 +44,7 @@ def cache_directory() -> Path:
 
 
 def missing(libraries: dict[str, str]) -> list[str]:
-    return [package for name, package in libraries.items() if not _loads(name)]
+    return [package for name, package in libraries.items() if LINUX and not _loads(name)]
 
 
 def _loads(name: str) -> bool:

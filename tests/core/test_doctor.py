@@ -47,6 +47,11 @@ def test_libraries_are_those_of_what_is_installed(monkeypatch: pytest.MonkeyPatc
     assert [one.state for one in doctor.check_libraries()] == ["ok"]
 
 
+def test_other_systems_need_no_libraries_of_debian(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "LINUX", False)
+    assert doctor.check_libraries() == []
+
+
 def test_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "cache_directory", lambda: tmp_path / "cache" / "fpplab")
     usage = [doctor.LIMITS.min_free_bytes, doctor.LIMITS.min_free_bytes - 1, doctor.LIMITS.min_free_bytes]
