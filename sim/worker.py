@@ -28,6 +28,7 @@ from sim.picture_memory import PictureMemory
 from sim.scene import RenderScene, RenderSettings, SubpixelView
 
 START_S = 120.0  # longest time that Blender may take to start, in s (chosen)
+BEGIN = b"fpplab: answers\n"  # the line before the first answer; what others print before it is passed over
 WAIT_S = 0.2  # time in s between which Ctrl-C is heard on Windows (chosen)
 
 _group = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", None)  # Windows has it
@@ -45,6 +46,8 @@ class _Answers:
 
     def _read(self, stream: IO[bytes]) -> None:
         with suppress(EOFError, OSError, ValueError, pickle.UnpicklingError), stream:
+            while stream.readline() not in (BEGIN, b""):
+                pass
             while True:
                 self._answers.put(pickle.load(stream))
         self._answers.put(None)

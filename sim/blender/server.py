@@ -4,6 +4,8 @@ Started as `python -m sim.blender.server`. It ends when its standard input is cl
 that it never outlives the process that started it.
 """
 
+from __future__ import annotations
+
 import os
 import pickle
 import sys
@@ -11,19 +13,24 @@ import threading
 import warnings
 from contextlib import suppress
 from queue import SimpleQueue
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
-import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blender.scene import BlenderScene
 from sim.picture_memory import MemoryPlace
 from sim.scene import RenderRefused, RenderScene, RenderSettings, SubpixelView
+from sim.worker import BEGIN
+
+if TYPE_CHECKING:
+    from sim.blender.scene import BlenderScene
 
 
-def serve_renders(requests: "SimpleQueue[tuple[str, Any]]", answers: IO[bytes]) -> None:
+def serve_renders(requests: SimpleQueue[tuple[str, Any]], answers: IO[bytes]) -> None:
     """Answer requests until the process ends."""
+    import bpy  # which may print: by now to the log
+
+    from sim.blender.scene import BlenderScene
 
     def answer(verb: str, content: str | None) -> None:
         pickle.dump((verb, content), answers)
@@ -68,7 +75,7 @@ def _render_views(
     renderer.render(scene, textures, views, effort, pixels[:count].reshape(shape))
 
 
-def _read(stream: IO[bytes], requests: "SimpleQueue[tuple[str, Any]]") -> None:
+def _read(stream: IO[bytes], requests: SimpleQueue[tuple[str, Any]]) -> None:
     """Pass requests on; at their end the process ends at once, even in the middle of a render."""
     with suppress(EOFError, OSError, pickle.UnpicklingError):
         while True:
@@ -81,6 +88,7 @@ def main() -> None:
     warnings.simplefilter("ignore", DeprecationWarning)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what Blender prints is no answer
+    answers.write(b"\n" + BEGIN)
     requests: SimpleQueue[tuple[str, Any]] = SimpleQueue()
     threading.Thread(target=_read, args=(sys.stdin.buffer, requests), daemon=True).start()
     with suppress(OSError):  # nobody reads any more

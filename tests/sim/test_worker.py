@@ -114,6 +114,18 @@ def test_closing_leaves_no_process_memory_or_descriptor(tmp_path: Path) -> None:
 
 
 @pytest.mark.whole
+def test_what_others_print_in_the_process_is_no_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text("print('hello', end='', flush=True)")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    blender = Blender("bench")
+    blender.start()
+    assert blender.pid is not None
+    blender.close()
+
+
+@pytest.mark.whole
 def test_too_slow_a_render_is_ended() -> None:
     blender = Blender("bench")
     of = world(render={"samples": 4096, "bounces": 8, "subpixels": 8})
