@@ -19,6 +19,7 @@ from sim.effects import EFFECTS
 from sim.fluctuation import Fluctuation, displaced, displaced_irradiance, displacement_mm
 from sim.items import item_poses
 from sim.light import Light, PatternLevels, ShownPattern
+from sim.light.point_errors import error_draw, point_error_sizes
 from sim.sampling import ImagePartSampler
 from sim.scene import RenderSettings, SubpixelView
 from sim.studio import SimStudio
@@ -76,7 +77,7 @@ class VirtualBench:
         self.blender = Blender("bench")
         self._analytic = chosen.analytic
         self.light = self._light_of(self.world)
-        self.setup = SceneState(self.world.mounted, has_point_errors=True)
+        self.setup = SceneState(self.world.mounted)
         self.show: ShownPattern | None = None
         self._seen_lit: SceneState | None = None
         self._vibrating: tuple[SceneState, tuple[SceneState, ...]] | None = None
@@ -85,7 +86,7 @@ class VirtualBench:
 
     def open(self) -> None:
         """Start with what the world has mounted, with the projector dark."""
-        self.setup, self.show = SceneState(self.world.mounted, has_point_errors=True), None
+        self.setup, self.show = SceneState(self.world.mounted), None
         self._draws.clear()
         self._count = 0
         with self._naming_file():
@@ -165,7 +166,7 @@ class VirtualBench:
 
     def irradiance(self, settings: CameraSettings, frame: int) -> PatternLevels:
         # returns (height, width)
-        setup, show = self.setup, self.show
+        setup, show = self._with_error_draw(self.setup), self.show
         if show is not None and setup.item != "nothing":
             with self._naming_file():
                 self._check_lit(setup)
@@ -180,6 +181,12 @@ class VirtualBench:
             x, y, z = moved.tolist()
             setup = replace(setup, vibration_mm=(x, y, z))
         return self._with_fluctuation(setup, self.light.irradiance(setup, show, weights), frame)
+
+    def _with_error_draw(self, setup: SceneState) -> SceneState:
+        if setup.item == "nothing" or point_error_sizes(self.world) is None:
+            return setup
+        pose = setup.held or item_poses(self.world, setup.item)[setup.pose]
+        return replace(setup, error_draw=error_draw(pose))
 
     def _with_fluctuation(self, setup: SceneState, picture: PatternLevels, frame: int) -> PatternLevels:
         changes = Fluctuation.of(self.world)

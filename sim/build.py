@@ -27,7 +27,7 @@ class SceneState:
     vibration_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # displacement of the item by vibration
     held: RigidTransform | None = None  # T_camera_item in place of the world's pose
     convergence_deg: float = 0.0  # turn of the projector towards the camera, in degrees
-    has_point_errors: bool = False  # whether a board's points have the world's errors; else they are exact
+    error_draw: int | None = None  # number by which errors of a board's points are drawn; None for no errors
 
     def T_projector_camera(self, world: World) -> RigidTransform:
         return world.T_projector_camera(self.stage_mm, self.convergence_deg)

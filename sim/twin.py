@@ -34,6 +34,7 @@ from sim.build import SceneState
 from sim.fluctuation import Fluctuation, displaced, displaced_irradiance, displacement_mm
 from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, ShownPattern
+from sim.light.point_errors import error_draw
 from sim.parameters import TwinParameters, parameters_of, world_of
 from sim.sensor import SensorModel
 from sim.sheet import board_relative_to, save_sheet, save_surroundings
@@ -213,7 +214,7 @@ class Twin:
         # computed, else from four pictures of each pattern that serve any number of frames.
         self.world.item(item)
         shown, sensor = tuple(patterns), SensorModel.of(self.world)
-        still = SceneState(item, held=pose, has_point_errors=True)
+        still = SceneState(item, held=pose, error_draw=error_draw(pose))
         counters = self.frame_counter.take(len(shown))
         pictures = self._levels_of_vibrating_frames(still, pose, shown, counters)
         if (changes := Fluctuation.of(self.world)) is not None:

@@ -25,7 +25,7 @@ import numpy as np
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.patterns.fringes import Pattern
 from sim.build import NOTHING, SceneState, build_scene
-from sim.items import item_poses, standing_surfaces
+from sim.items import standing_surfaces
 from sim.light.background import Background
 from sim.light.basis import Basis, PatternLevels
 from sim.light.cache import ByteLimitedCache, TableCache, table_digest
@@ -91,7 +91,7 @@ class Light:
         self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(TABLE_BYTES)
         self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(CACHE_BYTES)
         self._displaced: tuple[str, LightTable] | None = None
-        self._erring: tuple[SceneState, LightTable] | None = None
+        self._erring: ByteLimitedCache[LightTable] = ByteLimitedCache(CACHE_BYTES)
         self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(CACHE_BYTES)
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(1 << 30)
         self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache()
@@ -179,18 +179,15 @@ class Light:
         """Get the direct light on all that is in view, from memory, from disk, or rendered."""
         if not self._has_point_errors(setup):
             return self._exact_table(setup)
-        if self._erring is None or self._erring[0] != setup:
-            self._erring = (setup, self._with_point_errors(setup, self._exact_table(setup)))
-        return self._erring[1]
+        return self._erring.get(setup, lambda: self._with_point_errors(setup, self._exact_table(setup)))
 
     def _has_point_errors(self, setup: SceneState) -> bool:
-        has_board = setup.has_point_errors and setup.item in self._world.items
+        has_board = setup.error_draw is not None and setup.item in self._world.items
         return has_board and point_error_sizes(self._world) is not None
 
     def _with_point_errors(self, setup: SceneState, table: LightTable) -> LightTable:
         _, _, texture = self._built(setup)
-        pose = setup.held or item_poses(self._world, setup.item)[setup.pose]
-        return displaced_by_errors(self._world, setup.item, pose, table, texture.affine[:, :2])
+        return displaced_by_errors(self._world, setup, table, texture.affine[:, :2])
 
     def _exact_table(self, setup: SceneState) -> LightTable:
         _, scene, _ = self._built(setup)
@@ -213,10 +210,10 @@ class Light:
 
     def forget(self) -> None:
         """Drop every picture and table in memory."""
-        for kept in (self._tables, self._motions, self._pictures, self._bases, self._albedos):
+        for kept in (self._tables, self._motions, self._erring, self._pictures, self._bases, self._albedos):
             kept.clear()
         self._projector.forget()
-        self._displaced = self._erring = None
+        self._displaced = None
 
     def _project_pattern(
         self, scene: SceneState, shown: ShownPattern, plane_weights: Floats | None

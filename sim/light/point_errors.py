@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from fpplab.characterisation.pose_effects import smooth_functions
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
+from sim.build import SceneState
 from sim.effects import EFFECTS
-from sim.items import board_target
+from sim.items import board_target, item_poses
 from sim.light.table import LightTable
 from sim.world import BoardItem, World
 
@@ -29,20 +30,25 @@ def point_error_sizes(world: World) -> Floats | None:
     return np.sqrt(np.sum(np.square(present), axis=0)) if present else None
 
 
-def displaced_by_errors(
-    world: World, item: str, pose: RigidTransform, table: LightTable, to_texture: Floats
-) -> LightTable:
-    """Displace the samples of a board's table by the errors of its points in a pose."""
+def error_draw(pose: RigidTransform) -> int:
+    """Number by which the errors of a pose are drawn: the same whenever it is recorded."""
+    digest = hashlib.sha256(np.round(pose.matrix, 6).tobytes()).digest()
+    return int.from_bytes(digest[:8], "little")
+
+
+def displaced_by_errors(world: World, setup: SceneState, table: LightTable, to_texture: Floats) -> LightTable:
+    """Displace the samples of a board's table by the errors of its points."""
     # to_texture (2, 2), from px of the projector to columns and rows of its texture
-    board, sizes = world.items[item], point_error_sizes(world)
-    if sizes is None or not isinstance(board, BoardItem):
+    board, sizes = world.items[setup.item], point_error_sizes(world)
+    if sizes is None or setup.error_draw is None or not isinstance(board, BoardItem):
         return table
-    points = board_target(item, board).points()
+    points = board_target(setup.item, board).points()
+    pose = setup.held or item_poses(world, setup.item)[setup.pose]
     _, height, width, _ = table.samples.shape
     left, top = table.corner
     errors = _interpolated(
         world.camera_model().project(points, pose) - (left, top),
-        _drawn(world.seed, pose, points, sizes),
+        _drawn([world.seed, setup.error_draw], points, sizes),
         (height, width),
     )
     camera, projector = errors[..., :2], errors[..., 2:] @ to_texture.T.astype(np.float32)
@@ -54,10 +60,9 @@ def displaced_by_errors(
     return LightTable(samples, albedo, table.corner)
 
 
-def _drawn(seed: int, pose: RigidTransform, points: Floats, sizes: Floats) -> Floats:
+def _drawn(seed: list[int], points: Floats, sizes: Floats) -> Floats:
     """Draw errors (K, 4) of the points in camera and projector."""
-    digest = hashlib.sha256(np.round(pose.matrix, 6).tobytes()).digest()
-    random = np.random.default_rng([seed, int.from_bytes(digest[:8], "little")])
+    random = np.random.default_rng(seed)
     single, shared = np.repeat(sizes, 2, axis=1)
     functions = smooth_functions(points[:, :2])
     return np.asarray(

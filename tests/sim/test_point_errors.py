@@ -16,7 +16,10 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from sim.build import SceneState
 from sim.effects.point_errors import BoardPointErrors, PointErrorsParameters
+from sim.fluctuation import displaced
+from sim.items import item_poses
 from sim.light import Light
+from sim.light.point_errors import error_draw
 from sim.light.table import LightTable
 from sim.matching.evaluation import reprojection_errors
 from sim.parameters import TwinParameters
@@ -37,8 +40,8 @@ PLAN = Plan(
 
 
 def table(of: World, pose: int = 0, has_point_errors: bool = True) -> LightTable:
-    light = Light(of, Blender("bench"), analytic=True)
-    return light.table(SceneState("board", pose, has_point_errors=has_point_errors))
+    light, draw = Light(of, Blender("bench"), analytic=True), error_draw(item_poses(of, "board")[pose])
+    return light.table(SceneState("board", pose, error_draw=draw if has_point_errors else None))
 
 
 def test_samples_are_displaced_by_as_much_as_the_world_says() -> None:
@@ -72,6 +75,16 @@ def test_expected_images_have_no_errors_of_points() -> None:
     patterns = make_patterns(PLAN, twin.parameters.calibration.projector.size, twin.world.projector.lattice)
     np.testing.assert_array_equal(twin.expected(0, patterns, SETTINGS), plain.expected(0, patterns, SETTINGS))
     assert (twin.frames(0, patterns[:1], SETTINGS)[0] != plain.frames(0, patterns[:1], SETTINGS)[0]).any()
+
+
+def test_displaced_boards_have_the_errors_of_the_board_at_rest() -> None:
+    """Frames of a vibrating board are put together from pictures at displaced places."""
+    erring = world(point_errors={"poses_px": (0.0, 0.05)})
+    light, pose = Light(erring, Blender("bench"), analytic=True), item_poses(erring, "board")[0]
+    still = SceneState("board", error_draw=error_draw(pose))
+    (moved, *_) = displaced(still, pose, 1e-3)
+    off = light.table(moved).samples - light.table(still).samples
+    assert np.abs(off[..., :2]).max() < 0.02  # px of the projector: nothing near the errors' 0.1
 
 
 def characterised(twin: Twin) -> Characterisation:
