@@ -63,7 +63,7 @@ def test_a_stale_calibration_is_found_though_the_plan_has_one_axis() -> None:
     bench = drawn("stale_calibration", 6)
     found = with_plan(PLANS["three"], bench.calibration, "stale_calibration")
     assert causes(found) == ["stale_calibration"]
-    assert [unknown.split(":")[0] for unknown in found.unknown] == ["projector_drift"]
+    assert [unknown.split(":")[0] for unknown in found.unknown] == ["projector_drift", "motion"]
 
 
 @pytest.mark.whole
