@@ -32,7 +32,7 @@ DOCS = Path(__file__).parents[1]
 ROOT = DOCS.parent
 SOURCES = ("fpplab", "drivers", "sim", "configs", "docs/generate")
 OMITTED = "…"
-READ_ONLY = ("sh", "text", "toml", "matlab", "")
+READ_ONLY = ("sh", "powershell", "text", "toml", "matlab", "")
 """Languages that are not run."""
 
 Invoke = Callable[[list[str]], tuple[int, str, str]]
