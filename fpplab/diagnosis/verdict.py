@@ -205,8 +205,8 @@ def _with_motion(judged: Diagnosis, evidence: Evidence) -> Diagnosis:
     motion = evidence.recording.motion if evidence.recording else None
     if motion is None or (judged.findings and judged.findings[0].cause == MOTION):
         return judged
-    told = (describe_motion(evidence, part) for part in motion.parts)
-    return replace(judged, reason="; ".join([judged.reason, *told]))
+    motions = (describe_motion(evidence, part) for part in motion.parts)
+    return replace(judged, reason="; ".join([judged.reason, *motions]))
 
 
 def _with_islands(judged: Diagnosis, decoded: Decoded) -> Diagnosis:

@@ -310,10 +310,10 @@ class Recording:
     def _even_light(self, led: str | None) -> Map | None:
         """White under one LED or all, less black under the same where it is shown; None without white."""
         frames: dict[float, list[Image]] = {1.0: [], 0.0: []}
-        for frame, (index, step, _) in zip(self.frames, self.plan.steps(), strict=True):
+        for image, (index, step, _) in enumerate(self.plan.steps()):
             shown = self.plan.sets[index]
             if isinstance(shown, Even) and shown.led == led and shown.levels[step] in frames:
-                frames[shown.levels[step]].append(frame)
+                frames[shown.levels[step]].append(self.frames[image])
         if not frames[1.0]:
             return None
         light = mean_of(frames[1.0], self.grey)

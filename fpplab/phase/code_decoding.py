@@ -182,7 +182,10 @@ def _fitted(codes: _Codes, images: int, kind: str, sample: bytes) -> _Search:
         return best
     # First the noise that the best blur leaves, and with it the likelihood of each blur, which does not
     # prefer those whose codes can follow noise.
-    likelihood = lambda figures: float(np.nanmean(_likelihoods(figures, images)))  # noqa: E731
+
+    def likelihood(figures: NDArray[np.float32]) -> float:
+        return float(np.nanmean(_likelihoods(figures, images)))
+
     for measure in (_fit, likelihood):
 
         def tried(index: int, start: _Search = best, measure: _Measure = measure) -> tuple[float, _Search]:

@@ -45,9 +45,10 @@ def serve_renders(requests: SimpleQueue[tuple[str, Any]], answers: IO[bytes]) ->
             if verb == "scene":
                 scene = content
                 continue
-            if content["place"] != place:
-                place, pixels = content["place"], content["place"].mapped()
-            _render_views(renderer, scene, pixels, **{k: v for k, v in content.items() if k != "place"})
+            at = content.pop("place")
+            if at != place:
+                place, pixels = at, at.mapped()
+            _render_views(renderer, scene, pixels, **content)
             answer("done", None)
         except RenderRefused as refused:
             answer("refused", str(refused))

@@ -1,8 +1,9 @@
 """Evaluation of a twin: expected images are compared with the reference, noisy frames characterised."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -78,17 +79,12 @@ def evaluate(
                 observed.append(pool.submit(_observe_board, reference, pose, frames))
             pairs += pose_similarity(reference, twin, pose)
             progress(done / len(chosen))
-    observations: list[Observation] = []
-    left_out: dict[str, str] = {}
-    for pose, future in zip(chosen, observed, strict=known_twin_rms_px is None):
-        try:
-            observations.append(future.result())
-        except CalibrationError as error:
-            left_out[reference.sessions[pose].path.name] = str(error)
     similarity = Similarity(*(np.array(future) for future in zip(*pairs, strict=True)))
-    characterisation = (
-        _characterise_twin(reference, observations, left_out) if known_twin_rms_px is None else None
-    )
+    characterisation = None
+    if known_twin_rms_px is None:
+        # What counts is the twin's error and its calibration, not how sure they are.
+        results = zip(chosen, (future.result for future in observed), strict=True)
+        characterisation = _characterise_observed(reference, results, validate=False)
     own = characterisation.calibration.rms_px["joint"] if characterisation else known_twin_rms_px
     assert own is not None
     return TwinEvaluation(Loss(weights, reference.reference_rms_px, own, similarity), characterisation)
@@ -96,15 +92,12 @@ def evaluate(
 
 def characterise_twin(reference: Reference, twin: Twin, poses: Sequence[int]) -> Characterisation:
     """Characterise the twin by its own frames of some poses."""
-    observations: list[Observation] = []
-    left_out: dict[str, str] = {}
-    for pose in poses:
-        frames = twin.frames(pose, reference.patterns, reference.settings)
-        try:
-            observations.append(_observe_board(reference, pose, frames))
-        except CalibrationError as error:
-            left_out[reference.sessions[pose].path.name] = str(error)
-    return _characterise_twin(reference, observations, left_out, validate=True)
+
+    def observed(pose: int) -> Observation:
+        return _observe_board(reference, pose, twin.frames(pose, reference.patterns, reference.settings))
+
+    results = ((pose, partial(observed, pose)) for pose in poses)
+    return _characterise_observed(reference, results, validate=True)
 
 
 def reprojection_errors(characterisation: Characterisation) -> ReprojectionErrors:
@@ -141,12 +134,17 @@ def _observe_board(reference: Reference, pose: int, frames: Sequence[Image]) -> 
     return observe(name, image, decoded, reference.target, finest_periods(plan, size))
 
 
-def _characterise_twin(
-    reference: Reference,
-    observations: Sequence[Observation],
-    left_out: Mapping[str, str],
-    validate: bool = False,  # what counts is its error and its calibration, not how sure they are
+def _characterise_observed(
+    reference: Reference, results: Iterable[tuple[int, Callable[[], Observation]]], validate: bool
 ) -> Characterisation:
+    """Characterise the twin by poses, without those in which the board is not found."""
+    observations: list[Observation] = []
+    left_out: dict[str, str] = {}
+    for pose, observed in results:
+        try:
+            observations.append(observed())
+        except CalibrationError as error:
+            left_out[reference.sessions[pose].path.name] = str(error)
     bench, (size, lattice) = reference.characterisation, reference.projector
     width, height, _ = reference.sessions[0].format
     try:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fpplab.core.conventions import axis_length
+from fpplab.core.conventions import AXES, axis_length
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding
 from fpplab.patterns.motion import PartMotion
@@ -32,7 +32,7 @@ def _cost_um(evidence: Evidence, part: PartMotion) -> float:
 def _um_per_px(evidence: Evidence) -> float:
     assert evidence.recording is not None
     axis = evidence.recording.plan.axes[0]
-    return 1e3 / float(evidence.points.px_per_mm_of_depth["xy".index(axis)])
+    return 1e3 / float(evidence.points.px_per_mm_of_depth[AXES.index(axis)])
 
 
 def describe_motion(evidence: Evidence, part: PartMotion) -> str:
