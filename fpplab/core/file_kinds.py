@@ -123,10 +123,11 @@ def describe_file(path: Path) -> str | None:
         with open_regular(path) as stream:
             head = stream.read(_HEAD_BYTES)
             size = path.stat().st_size
-            if head.startswith(b"PK\x03\x04"):
-                return _describe_archive(head + stream.read())
-    except (OSError, zipfile.BadZipFile):
+            content = head + stream.read() if head.startswith(b"PK\x03\x04") else b""
+    except OSError:
         return None
+    if content:
+        return _describe_archive(content)
     if not head:
         return "empty"
     if b'<meta name="generator" content="fpplab">' in head[:1024]:
@@ -167,9 +168,12 @@ def _describe_folder(path: Path) -> str:
     return "a folder without a session" if inside else "an empty folder"
 
 
-def _describe_archive(content: bytes) -> str:
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        names = archive.namelist()
+def _describe_archive(content: bytes) -> str | None:
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            names = archive.namelist()
+    except Exception:  # noqa: BLE001 - the unpacker raises exceptions of any kind
+        return None
     arrays = [name.removesuffix(".npy") for name in names if name.endswith(".npy")]
     if "3D/3dmodel.model" in names:
         return "a 3MF mesh"

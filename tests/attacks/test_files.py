@@ -15,6 +15,7 @@ import pytest
 
 from fpplab.cli import console
 from fpplab.cli.tables import NOT_PRINTED
+from fpplab.clouds.files import load_cloud
 from fpplab.core import archives, config, strict_yaml
 from fpplab.core.archives import ArchiveLimits, load_arrays
 from fpplab.core.errors import FppError
@@ -198,6 +199,14 @@ def test_a_journal_is_refused(name: str, journal: str, tmp_path: Path) -> None:
         Session.open(session)
     assert "\n" not in str(refused.value)
     assert refused.value.exit_code in (2, 4)
+
+
+def test_an_archive_whose_names_are_no_text_is_damaged(tmp_path: Path) -> None:
+    """A flag says that names are UTF-8, and one is not: the unpacker raises what is no error of archives."""
+    content = archive("p\N{LATIN SMALL LETTER E WITH ACUTE}.npy", b"").replace(b"p\xc3\xa9", b"p\xe3e")
+    (tmp_path / "cloud.npz").write_bytes(content)
+    with pytest.raises(FppError, match=r"cloud\.npz: .*invalid continuation byte"):
+        load_cloud(tmp_path / "cloud.npz")
 
 
 @pytest.mark.parametrize("wrong", [{"file": ["plan.yaml"], "sha256": "0"}, {"file": "a", "sha256": 1},

@@ -16,6 +16,8 @@ from tests.support.searching import study
 
 ROOT = Path(__file__).parents[2]
 RANDOM_SEARCH = '''
+from __future__ import annotations
+
 import random
 from typing import TYPE_CHECKING, Literal
 
