@@ -35,8 +35,10 @@ if TYPE_CHECKING:
     from fpplab.phase import Decoded, decode
     from fpplab.pipeline import characterise_sessions
     from fpplab.results.scan import ScanResult
+    from fpplab.service.client import ServiceClient
     from fpplab.sessions.session import Session
     from fpplab.targets import Target
+    from fpplab.workflows.instrument import Instrument
     from fpplab.workflows.reconstruct import reconstruct
     from fpplab.workflows.scan import scan
 
@@ -45,10 +47,12 @@ _PLACES = {
     "Cloud": "clouds",
     "Comparison": "comparison",
     "Decoded": "phase",
+    "Instrument": "workflows.instrument",
     "Plan": "patterns.plan",
     "Recording": "patterns.recording",
     "Rig": "devices.rig",
     "ScanResult": "results.scan",
+    "ServiceClient": "service.client",
     "Session": "sessions.session",
     "Target": "targets",
     "characterise_sessions": "pipeline",
@@ -68,10 +72,12 @@ __all__ = [
     "Cloud",
     "Comparison",
     "Decoded",
+    "Instrument",
     "Plan",
     "Recording",
     "Rig",
     "ScanResult",
+    "ServiceClient",
     "Session",
     "Target",
     "__version__",

@@ -86,12 +86,16 @@ class VirtualBench:
 
     def open(self) -> None:
         """Start with what the world has mounted, with the projector dark."""
-        self.setup, self.show = SceneState(self.world.mounted), None
-        self._draws.clear()
-        self._count = 0
+        self.restart()
         with self._naming_file():
             self._check_device()
         self.check(self.world.mounted, 0)
+
+    def restart(self) -> None:
+        """Put everything back as it was after opening; see `fpplab.devices.simulation`."""
+        self.setup, self.show = SceneState(self.world.mounted), None
+        self._draws.clear()
+        self._count = 0
 
     def check(self, item: str, pose: int) -> None:
         """Check that an item can be made, and seen in the projector's light."""

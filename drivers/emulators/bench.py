@@ -47,7 +47,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings, DeviceInfo, Fixture, FixtureCaps
 from fpplab.devices.backends import load_backend
 from fpplab.devices.rig import Rig
-from fpplab.devices.simulation import NumberedFrames
+from fpplab.devices.simulation import NumberedFrames, Restartable
 
 STAGE_SPEEDUP = 100.0  # factor by which the emulated stage's time runs faster than real time (chosen)
 
@@ -148,6 +148,15 @@ class EmulatedBench:
         """Give the next frames that the optics render numbers, from which their noise follows."""
         if isinstance(self.optics_rig.simulation, NumberedFrames):
             self.optics_rig.simulation.number_frames(numbers, then)
+
+    def restart(self) -> None:
+        """Put the optics back as they were after opening; the stage stays where it is."""
+        stage = self.optics_rig.stage
+        stage_mm = stage.position_mm if stage is not None and stage.homed else 0.0
+        if isinstance(self.optics_rig.simulation, Restartable):
+            self.optics_rig.simulation.restart()
+        if stage is not None and stage_mm:
+            stage.move_to(stage_mm)
 
     def _check_optics(self) -> None:
         depths = self.optics_rig.projector.caps.bit_depths

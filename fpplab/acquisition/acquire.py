@@ -34,15 +34,25 @@ NO_END_MARKER = "after the last pattern no black and then white image was seen"
 FrameObserver = Callable[[Frame], None]  # called with each frame once it is on disk: a progress bar, a viewer
 
 
-def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ignore) -> None:
-    """Take every image of the plan that the session lacks."""
+def acquire(
+    rig: Rig,
+    plan: Plan,
+    session: Session,
+    observe: FrameObserver = ignore,
+    exposed: Callable[[], object] = ignore,
+) -> None:
+    """Take every image of the plan that the session lacks; tell `exposed` when the last exposure is over."""
     # The projector is dark afterwards, whatever happened.
     all_missing = session.missing()
+    last = max(all_missing, default=-1)
     for exposure_s, images, first in zip(plan.exposures, plan.passes, plan.pass_starts, strict=False):
         missing = {images[k - first]: k for k in all_missing if first <= k < first + len(images)}
         _log.info("%d frames are to be taken, %g s each", len(missing), exposure_s)
         if missing:
-            _take_pass(rig, plan, session, missing, exposure_s, observe)
+            over = exposed if last in missing.values() else ignore
+            _take_pass(rig, plan, session, missing, exposure_s, observe, over)
+    if not all_missing:
+        exposed()
     if all_missing:
         _prove(rig, session)
 
@@ -54,6 +64,7 @@ def _take_pass(
     missing: Mapping[int, int],
     exposure_s: float,
     observe: FrameObserver,
+    exposed: Callable[[], object],
 ) -> None:
     """Take the missing images of the plan at one exposure; `missing` has their frames."""
     caps = rig.projector.caps
@@ -61,9 +72,11 @@ def _take_pass(
     patterns = make_patterns(plan, caps.size, caps.lattice)
     ends = end_markers(plan.part_at(exposure_s), caps.size)
     brightness = []
+    shown = [*(patterns[i] for i in missing), *ends]
     with (
         write_frames(session, observe) as record,
-        closing(expose(rig, [*(patterns[i] for i in missing), *ends], settings, plan)) as shots,
+        closing(expose(rig, shown, settings, plan)) as raw,
+        closing(_telling_last(raw, len(shown), exposed)) as shots,
     ):
         for index, shot in zip(missing, shots, strict=False):
             record(shot.showing(patterns[index].id, missing[index]))
@@ -72,6 +85,15 @@ def _take_pass(
         brightness += [float(shot.image.mean()) for shot in shots]
     if ends and not _ends_black_and_white(brightness):
         raise _out_of_step(rig, session, NO_END_MARKER)
+
+
+def _telling_last(
+    shots: Iterator[Frame], count: int, exposed: Callable[[], object]
+) -> Generator[Frame, None, None]:
+    for number, shot in enumerate(shots, 1):
+        if number == count:
+            exposed()
+        yield shot
 
 
 def capture(rig: Rig, plan: Plan) -> list[Image]:

@@ -11,7 +11,6 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -23,6 +22,7 @@ from fpplab.core import interrupts
 from fpplab.core.errors import Cancelled, ConfigError, DataError, FppError
 from fpplab.core.extras import missing_extra
 from fpplab.core.progress import Progress, Say, ignore, no_progress
+from fpplab.core.strict_json import json_value
 
 if TYPE_CHECKING:
     from fpplab.diagnosis import Diagnosis
@@ -85,7 +85,7 @@ def log_status(sentence: str) -> None:
 
 def print_result(result: dict[str, Any], as_json: bool, show: Callable[[], None] | None = None) -> None:
     if as_json:
-        sys.stdout.write(json.dumps(result, default=_plain, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(result, default=json_value, allow_nan=False) + "\n")
     elif show:
         show()
     else:
@@ -120,14 +120,6 @@ def table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     for row in rows:
         grid.add_row(*(readable(cell) for cell in row))
     stdout.print(grid)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "item"):
-        return value.item()
-    raise TypeError(f"{type(value).__name__} does not go into JSON")
 
 
 @contextmanager
@@ -241,4 +233,4 @@ def _exit_process(exit_code: int) -> NoReturn:
 def _answer_fault(sentence: str, exit_code: int, details: Mapping[str, object] | None = None) -> None:
     fault = {"error": sentence, "exit_code": exit_code, **(details or {})}
     with suppress(OSError):  # what cannot be written is in the exit code
-        sys.stdout.write(json.dumps(fault, default=_plain) + "\n")
+        sys.stdout.write(json.dumps(fault, default=json_value) + "\n")

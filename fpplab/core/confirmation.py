@@ -22,6 +22,10 @@ def confirm_in_advance(operations: Iterable[ConfirmationRequired]) -> None:
     _confirmed.update(operations)
 
 
+def confirmed_in_advance() -> frozenset[ConfirmationRequired]:
+    return frozenset(_confirmed)
+
+
 def can_confirm(operation: ConfirmationRequired) -> bool:
     return operation in _confirmed or _has_terminal()
 

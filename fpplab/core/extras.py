@@ -16,6 +16,7 @@ EXTRAS = {
     "viewer": ("rerun", "rerun_cli", "pyarrow"),
     "files": ("pye57", "laspy", "lxml"),
     "optimise": ("optuna", "distributed", "dask"),
+    "service": ("fastapi", "fastapi_offline", "starlette", "uvicorn"),
 }
 
 

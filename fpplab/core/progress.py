@@ -12,5 +12,5 @@ def no_progress(share: float) -> None:
     """Report no progress; the default of every `progress` parameter."""
 
 
-def ignore(observed: object) -> None:
+def ignore(*observed: object) -> None:
     """Ignore what is observed; the default of every `observe` parameter."""

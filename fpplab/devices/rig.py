@@ -228,6 +228,10 @@ class Rig:
         """What messages call the rig: its file."""
         return str(self._source)
 
+    @source.setter
+    def source(self, name: Path | str) -> None:
+        self._source = name
+
     def camera_settings(self, exposure_s: float, bits: int | None = None) -> CameraSettings:
         """Give the rig's standing settings with a plan's exposure and depth.
 

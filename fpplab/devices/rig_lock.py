@@ -5,6 +5,7 @@ or by the watcher alone, and `watched` by the watcher. A watcher holds the rig f
 """
 
 import hashlib
+import json
 import logging
 import os
 import tempfile
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from fpplab.core.errors import DeviceError
 from fpplab.core.lock import lock_owner, open_lock, try_lock, write_lock_owner
+from fpplab.core.strict_json import parse_object
 
 TURN_TIMEOUT_S = 60.0  # longest wait in s for a rig (chosen): a watcher releases the rig after one frame
 
@@ -91,6 +93,50 @@ def using_rig(source: Path | str) -> Iterator[None]:
             if name == "wanted":
                 write_lock_owner(handle)
         yield
+
+
+@contextmanager
+def announcing_service(source: Path | str, announcement: dict[str, object]) -> Iterator[Path]:
+    """Leave where other commands of this user find the rig's service, as long as it runs."""
+    lock_stem = _lock_stem_of(source)
+    place = _lock_path(lock_stem, "service")
+    for _ in range(20):  # a command that looks for a service holds the lock for a moment
+        if (handle := _open_and_try_lock(lock_stem, "service")) is not None:
+            break
+        time.sleep(0.02)
+    else:
+        raise DeviceError(str(source), "serve", f"{_announced(place)} serves it already", "end that first")
+    try:
+        os.ftruncate(handle, 0)
+        os.write(handle, json.dumps(announcement).encode())
+        yield place
+    finally:
+        os.ftruncate(handle, 0)
+        os.close(handle)
+
+
+def announced_service(source: Path | str) -> dict[str, object] | None:
+    """Find what the service of a rig has announced, if one runs."""
+    place = _lock_path(_lock_stem_of(source), "service")
+    try:
+        handle = os.open(place, os.O_RDWR)
+    except OSError:
+        return None
+    try:
+        if _try_lock(handle, shared=True):  # its service is gone
+            return None
+        return parse_object(os.read(handle, 10_000))
+    except ValueError:  # it is being written
+        return None
+    finally:
+        os.close(handle)
+
+
+def _announced(place: Path) -> str:
+    try:
+        return "process {pid} at {url}".format(**parse_object(place.read_bytes()))
+    except (OSError, ValueError, KeyError):
+        return "another process"
 
 
 def _acquire_shared_lock(handle: int, lock_stem: Path, rig_file: Path | str) -> None:

@@ -94,6 +94,15 @@ class NumberedFrames(Protocol):
 
 
 @runtime_checkable
+class Restartable(Protocol):
+    """A simulation that can be put back as it was after opening, at no cost."""
+
+    def restart(self) -> None:
+        """Put up what was mounted after opening, and number frames from 0 again."""
+        ...
+
+
+@runtime_checkable
 class Timed(Protocol):
     """A simulation of devices that take time of their own, which is not the computer's."""
 

@@ -120,8 +120,8 @@ def is_this_computer(host: str) -> bool:
         return False
 
 
-def _files(folder: Path) -> dict[str, object]:
-    """Dask's settings for a certificate that signs itself, loaded to see that its files belong together."""
+def certificate_files(folder: Path) -> tuple[Path, Path]:
+    """Find a certificate that signs itself and its key, loaded to see that they belong together."""
     certificate, key = folder / CERTIFICATE, folder / KEY
     for path in (certificate, key):
         if not path.is_file():
@@ -133,6 +133,12 @@ def _files(folder: Path) -> dict[str, object]:
         context.load_cert_chain(certificate, key)
     except OSError as error:
         raise ConfigError(f"{folder}: its certificate cannot be used ({error}); {HOW_TO}") from error
+    return certificate, key
+
+
+def _files(folder: Path) -> dict[str, object]:
+    """Dask's settings for a certificate."""
+    certificate, key = certificate_files(folder)
     settings: dict[str, object] = {"tls_ca_file": str(certificate), "require_encryption": True}
     for role in ("client", "scheduler", "worker"):
         settings |= {f"tls_{role}_cert": str(certificate), f"tls_{role}_key": str(key)}

@@ -30,6 +30,7 @@ def take_or_resume_session(
     place_item: Callable[[], object] | None = None,
     progress: Progress = no_progress,
     observe_frame: FrameObserver = ignore,
+    exposed: Callable[[], object] = ignore,
 ) -> Session:
     """Acquire a plan on an open rig, or complete an interrupted session."""
     # Where the stage cannot go nothing is replaced.
@@ -53,7 +54,7 @@ def take_or_resume_session(
             progress(1.0 - len(session.missing()) / plan.frames)
             observe_frame(frame)
 
-        acquire(rig, plan, session, report)
+        acquire(rig, plan, session, report, exposed)
         session.check_kept()
     return session
 

@@ -34,6 +34,9 @@ class Observer:
     def frame(self, frame: Frame) -> None:
         """Take a frame as it was acquired."""
 
+    def exposed(self) -> None:
+        """Take that the last exposure is over, before its frame is on disk: whatever stood still may move."""
+
     def maps(self, decoded: Decoded) -> None:
         """Take projector coordinates before their points are known."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from fpplab.diagnosis import DiagnosisLimits
     from fpplab.patterns.plan import Plan
     from fpplab.results.scan import ScanResult
+    from fpplab.service.order import ScanOrder
     from fpplab.sessions.session import Session
 
 
@@ -51,12 +52,39 @@ class ScanRequest:
         return (self.out / REPORT).is_file()
 
 
+def request_of_order(
+    order: ScanOrder, rig: Rig, out: Path, calibration: Path, load_calibration: Callable[[Path], Calibration]
+) -> ScanRequest:
+    from fpplab.core.config import validate
+    from fpplab.diagnosis import load_limits
+    from fpplab.patterns.plan import Plan
+
+    return ScanRequest(
+        rig=rig,
+        plan=Plan.load(order.plan) if isinstance(order.plan, str) else validate(order.plan, Plan, "plan"),
+        calibration=load_calibration(calibration),
+        out=out,
+        mount=(order.item, order.pose) if order.item else None,
+        depth_mm=order.depth_mm,
+        force=order.force,
+        limits=load_limits(Path(order.limits)) if order.limits else None,
+        plan_name=order.plan if isinstance(order.plan, str) else "plan",
+        calibration_file=calibration,
+    )
+
+
 def run_scan(request: ScanRequest, observer: Observer | None = None) -> ScanResult:
     """Open the rig, measure, reconstruct, and leave every result but a useless cloud in the session."""
     stopwatch = Stopwatch()
     check_scan_input(request)
     with request.rig:
         return _scan_on_open_rig(request, observer or Observer(), stopwatch)
+
+
+def scan_on_open_rig(request: ScanRequest, observer: Observer) -> ScanResult:
+    stopwatch = Stopwatch()
+    check_scan_input(request)
+    return _scan_on_open_rig(request, observer, stopwatch)
 
 
 def preview_scan(request: ScanRequest) -> dict[str, Any]:
@@ -121,11 +149,9 @@ def scan(
     UselessScanError
         Nobody should use the points, which are not written; it says why.
     """
-    stopwatch = Stopwatch()
     request = ScanRequest(rig, plan, calibration, Path(out), mount, depth_mm, force, report)
-    check_scan_input(request)
     shares = {"Scanning": (0.0, 0.8), "Reconstructing": (0.8, 1.0)}
-    result = _scan_on_open_rig(request, ProgressObserver(progress, shares), stopwatch)
+    result = scan_on_open_rig(request, ProgressObserver(progress, shares))
     result.require_usable()
     return result
 
@@ -211,6 +237,7 @@ def _acquire(request: ScanRequest, observer: Observer) -> Session:
             accept_complete=request.report and not request.has_report,
             progress=progress,
             observe_frame=observer.frame,
+            exposed=observer.exposed,
         )
 
 

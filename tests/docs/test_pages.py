@@ -34,6 +34,7 @@ ELSEWHERE = {
     "scan-with-a-screen.md",
     "images-from-elsewhere.md",
     "several-computers.md",
+    "serve-a-rig.md",
 }
 """Pages whose commands need instruments, other computers or recordings of others; that these have such
 options is tested."""

@@ -1,6 +1,11 @@
 """`fpplab scan`: from a plan to points."""
 
-from typing import Annotated
+from __future__ import annotations
+
+import os
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -19,6 +24,11 @@ from fpplab.cli.app import (
 )
 from fpplab.cli.completion import option
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_measurement
+from fpplab.core.progress import no_progress
+
+if TYPE_CHECKING:
+    from fpplab.service.client import ServiceClient
+    from fpplab.service.order import ScanOrder
 
 
 @app.command("scan", rich_help_panel=MEASURE)
@@ -42,37 +52,95 @@ def scan_command(
 ) -> None:
     """Measure: project the plan, and leave the session with its cloud in OUT.
 
-    An interrupted scan is completed by the same command. OUT holds the frames, `decoded.npz`,
+    An interrupted scan is completed by the same command. Where `fpplab serve` holds the rig open, the scan is
+    done there, with the same files and results. OUT holds the frames, `decoded.npz`,
     `cloud.ply` and `report.html`. `verdict` says whether to believe the points, `findings` why not; useless
     points are not written, and the exit code is 4. `removed` says how many points the plan's filter took out,
     by rule.
 
     Example: `fpplab scan --rig rig_demo --calibration calibration.yaml --item pyramid --out pyramid`
     """
+    from fpplab.core.confirmation import confirmed_in_advance
+    from fpplab.service.order import ScanOrder
+
+    order = ScanOrder(
+        plan=plan,
+        calibration=str(calibration),
+        out=str(out),
+        item=item,
+        pose=pose,
+        depth_mm=depth,
+        limits=None if limits is None else str(limits),
+        force=force,
+        allow=tuple(confirmed_in_advance()),
+    )
+    if not dry_run and _scan_by_service(rig, order, view or keep_open, json):
+        return
+    _scan_here(context, rig, order, Watching(view, keep_open, dry_run), json)
+
+
+class Watching(NamedTuple):
+    """What is wanted besides the scan, or instead of it."""
+
+    view: bool
+    keep_open: bool
+    dry_run: bool
+
+
+def _scan_here(context: typer.Context, rig: str, order: ScanOrder, watching: Watching, json: bool) -> None:
     from fpplab.calibration.model import Calibration
     from fpplab.core.session_names import RECORDING
     from fpplab.devices.rig import Rig
-    from fpplab.diagnosis import load_limits
-    from fpplab.patterns.plan import Plan
-    from fpplab.workflows.scan import ScanRequest, preview_scan, run_scan
+    from fpplab.workflows.scan import preview_scan, request_of_order, run_scan
 
-    request = ScanRequest(
-        rig=Rig.load(rig),
-        plan=Plan.load(plan),
-        calibration=Calibration.load(calibration),
-        out=out,
-        mount=(item, pose) if item else None,
-        depth_mm=depth,
-        force=force,
-        limits=load_limits(limits) if limits else None,
-        plan_name=plan,
-        calibration_file=calibration,
-    )
-    if dry_run:
+    out = Path(str(order.out))
+    calibration = Path(str(order.calibration))
+    request = request_of_order(order, Rig.load(rig), out, calibration, Calibration.load)
+    if watching.dry_run:
         console.print_result(preview_scan(request), json)
         return
-    observer = observe_measurement(context, view, keep_open, out / RECORDING)
+    observer = observe_measurement(context, watching.view, watching.keep_open, out / RECORDING)
     result = run_scan(request, observer)
     result.require_usable()
     console.log_status(result.diagnosis.sentence)
     console.print_result(result.summary(), json)
+
+
+def _scan_by_service(rig: str, order: ScanOrder, is_viewed: bool, json: bool) -> bool:
+    """Have the rig's service measure, if one runs; return whether it has."""
+    from fpplab.core.config import find_config
+    from fpplab.core.errors import ConfigError
+    from fpplab.service.client import ServiceClient
+
+    file = find_config(rig, "rig")
+    client = ServiceClient.find(file)
+    if client is None:
+        return False
+    if is_viewed:
+        raise ConfigError(f"--view: a service at {client.url} holds {file}; end it, or leave --view out")
+    console.log_status(f"Measured by the service at {client.url}")
+    options = order.model_dump(mode="json", exclude_defaults=True) | {"rig": str(file), "folder": os.getcwd()}
+    scan = client.order(options.pop("plan", order.plan), **options)
+    status = _follow(client, scan)
+    if status["error"] or status["state"] != "finished":
+        raise client.fault_of(status)
+    console.log_status(status["sentence"])
+    console.print_result(status["result"], json)
+    return True
+
+
+def _follow(client: ServiceClient, scan: int) -> dict[str, Any]:
+    """Show progress until a scan has ended; Ctrl-C cancels it."""
+    status = client.show(scan)
+    try:
+        while not client.has_ended(status):
+            stage = status["stage"]
+            with console.progress(stage) if stage else nullcontext(no_progress) as report:
+                while status["stage"] == stage and not client.has_ended(status):
+                    report(status["progress"])
+                    status = client.show(scan, after=status["version"], wait_s=client.MAX_WAIT_S)
+    except KeyboardInterrupt:
+        client.cancel(scan)
+        client.show(scan, until="finished", wait_s=client.MAX_WAIT_S)
+        raise
+    return status
