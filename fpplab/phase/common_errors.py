@@ -217,16 +217,16 @@ def set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) -> 
 
 
 def _waves(shift: Floats, highest: int) -> Floats:
-    """Offset and harmonics as columns, (N, 1 + 2 highest)."""
-    angle = np.outer(shift, np.arange(1, highest + 1))
-    return np.concatenate([np.ones((len(shift), 1)), np.cos(angle), np.sin(angle)], axis=1)
+    """Offset and harmonics as columns, (..., N, 1 + 2 highest)."""
+    angle = shift[..., None] * np.arange(1, highest + 1)
+    return np.concatenate([np.ones_like(shift)[..., None], np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def beyond_fringe(shift: Floats, highest: int = 1) -> Floats:
     """Give the projection that takes offset and fringe off the images of a pixel."""
-    # shift (N,) rad; returns (N, N)
-    waves = _waves(shift, highest)
-    return np.asarray(np.eye(len(shift)) - waves @ np.linalg.pinv(waves))
+    # shift (..., N) rad; returns (..., N, N); orthonormal waves also bear shifts that are nearly alike
+    waves = np.linalg.qr(_waves(shift, highest))[0]
+    return np.asarray(np.eye(shift.shape[-1]) - waves @ np.swapaxes(waves, -1, -2))
 
 
 def _orthonormal_rows(projection: Floats) -> Floats:

@@ -14,6 +14,7 @@ from functools import cached_property
 from itertools import combinations, product
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import (
     binary_closing,
@@ -105,9 +106,9 @@ class _Tiles:
         powers, strengths = np.zeros((len(rows), len(columns), len(turns))), []
         for k in used:
             fringe, (first, end) = plan.fringes[k], plan.set_starts[k : k + 2]
-            products = _products(recording.frames[first:end], rows, columns)
+            products = _products(recording.frames[first:end], apart)
             ways = np.outer(turns, shares[first:end] - shares[first:end].mean())
-            kept = [_beyond(fringe.phase_shifts() - TWO_PI * fringe.stripes / finest * way) for way in ways]
+            kept = beyond_fringe(fringe.phase_shifts() - TWO_PI * fringe.stripes / finest * ways)
             powers += np.einsum("tnm,rcnm->rct", kept, products)
             strengths.append(np.trace(products, axis1=2, axis2=3) * 2.0 / fringe.images / side**2)
         freedom = side**2 * sum(plan.fringes[k].images - 3 for k in used)
@@ -135,20 +136,14 @@ class _Tiles:
         return np.asarray(np.random.default_rng(0).permutation(pixels)[:most])
 
 
-def _products(frames: Sequence[Image], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
-    """Products of frames less their mean, summed over square tiles: (rows, columns, N, N)."""
-    side = MOTION.tile_px
-    down, across = ((corners[:, None] + np.arange(side)).ravel() for corners in (rows, columns))
-    picked = np.stack([frame[down][:, across] for frame in frames]).astype(np.float32)
-    tiles = (picked - picked.mean(axis=0)).reshape(len(frames), len(rows), side, len(columns), side)
-    products = np.einsum("nrpcq,mrpcq->rcnm", tiles, tiles, optimize=True)
-    return np.asarray(products, np.float64)
-
-
-def _beyond(shifts: Floats) -> Floats:
-    """As `beyond_fringe`, also of shifts that are nearly alike."""
-    waves = np.linalg.qr(np.stack([np.ones_like(shifts), np.cos(shifts), np.sin(shifts)], axis=1))[0]
-    return np.asarray(np.eye(len(shifts)) - waves @ waves.T)
+def _products(frames: Sequence[Image], apart: int) -> Floats:
+    """Products of frames less their mean, summed over square tiles so far apart: (rows, columns, N, N)."""
+    side = (MOTION.tile_px, MOTION.tile_px)
+    tiles = [sliding_window_view(frame, side)[::apart, ::apart] for frame in frames]
+    levels = np.stack(tiles, axis=2, dtype=np.float32)
+    levels -= levels.mean(axis=2, keepdims=True)
+    levels = levels.reshape(*levels.shape[:3], -1)
+    return np.asarray(levels @ np.swapaxes(levels, -1, -2), np.float64)
 
 
 def _depth(recording: Recording, calibration: Calibration, *, rough: bool) -> Floats | None:
