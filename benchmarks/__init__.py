@@ -50,6 +50,7 @@ LONG = (
     "predict",
     "predict_plans",
     "real_captures",
+    "service_endurance",
     "stale",
 )
 """Benchmarks that take from twenty minutes to hours: they are run only if they are named."""

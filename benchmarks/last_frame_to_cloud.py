@@ -81,22 +81,22 @@ def _spread_of(name: str) -> float:
     return {"fx": 0.5, "fy": 0.5, "cx": 0.4, "cy": 0.4}.get(kind, 0.03 if kind[0] == "t" else 1e-4)
 
 
-def recorded(path: Path, calibration: Calibration) -> Session:
+def recorded(path: Path, calibration: Calibration, plan: Plan = PLAN) -> Session:
     """Record what the camera sees of a waved surface, with noise of about one grey level."""
     across, down = camera_slopes(calibration.camera)
     depth = 450.0 + 15.0 * np.sin(40.0 * across) * np.cos(30.0 * down) + 40.0 * across
     points = np.stack([across * depth, down * depth, depth], axis=-1)
     u = calibration.projector.project(points, calibration.T_projector_camera)[..., 0]
     position = ((u + 0.5) / calibration.projector.size[0]).astype(np.float32)
-    random, session = np.random.default_rng(1), Session.create(path, PLAN, rig_record(calibration))
+    random, session = np.random.default_rng(1), Session.create(path, plan, rig_record(calibration))
     noise = random.normal(0.0, 1.0, (position.shape[0], 2 * position.shape[1])).astype(np.float32)
-    for index, (k, step, name) in enumerate(PLAN.steps()):
-        fringe = PLAN.fringes[k]
+    for index, (k, step, name) in enumerate(plan.steps()):
+        fringe = plan.fringes[k]
         wave = np.cos(np.float32(TWO_PI) * (np.float32(fringe.stripes) * position - step / fringe.images))
         start = random.integers(position.shape[1])
         image = np.rint(120.0 + 90.0 * wave + noise[:, start : start + position.shape[1]]).astype(np.uint8)
         session.write(
-            Frame(image, index, CameraSettings(PLAN.exposure_s, 0.0, 8), time.time(), pattern_id=name)
+            Frame(image, index, CameraSettings(plan.exposure_s, 0.0, 8), time.time(), pattern_id=name)
         )
     return session
 

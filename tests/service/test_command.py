@@ -34,8 +34,8 @@ def replaying(folder: Path) -> Path:
 
 
 @contextmanager
-def service(rig: Path, out: Path) -> Iterator[subprocess.Popen[str]]:
-    """`fpplab serve`, ready."""
+def service(rig: Path, out: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    """`fpplab serve`, ready, and the file that says where it is."""
     words = [
         "serve",
         "--rig",
@@ -52,8 +52,7 @@ def service(rig: Path, out: Path) -> Iterator[subprocess.Popen[str]]:
     ) as run:
         assert run.stdout is not None
         try:
-            assert "url" in json.loads(run.stdout.readline())
-            yield run
+            yield run, Path(json.loads(run.stdout.readline())["token_file"])
         finally:
             run.kill()
 
@@ -73,7 +72,7 @@ def test_a_scan_by_the_service_is_that_of_the_command(fpplab: Command, tmp_path:
     )
     words = ("scan", *given, "--out", "scan", "--json")
     alone = fpplab(*words, cwd=tmp_path / "without")
-    with service(rig, tmp_path / "out") as run:
+    with service(rig, tmp_path / "out") as (run, _):
         served = fpplab(*words, cwd=tmp_path / "with")
         assert "Measured by the service" in served.err
         again = fpplab(*words, cwd=tmp_path / "with")
@@ -102,7 +101,7 @@ def same_files(ours: Path, theirs: Path) -> None:
 @pytest.mark.whole
 def test_a_killed_service_finishes_what_has_its_frames(tmp_path: Path) -> None:
     rig = replaying(tmp_path)
-    with service(rig, tmp_path / "out") as run:
+    with service(rig, tmp_path / "out") as (run, _):
         client = ServiceClient.of_rig(rig)
         scan = client.order(str(tmp_path / "session/plan.yaml"))
         client.wait(scan, "judged", 60)
