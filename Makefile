@@ -85,8 +85,8 @@ faults: setup
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	for system in win32 darwin; do $(BIN)/mypy --platform $$system -p fpplab -p drivers -p sim || exit 1; done
+	printf '%s\n' 'linux -p benchmarks' 'win32 --cache-dir .mypy_cache/win32' 'darwin --cache-dir .mypy_cache/darwin' | \
+		xargs -L 1 -P $(WORKERS) $(BIN)/mypy -p fpplab -p drivers -p sim --platform
 	$(BIN)/lint-imports
 
 # The documentation as a site, build/docs/site/index.html; its pages are run first, for their pictures.

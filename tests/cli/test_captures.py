@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, characterise, finest_periods, judge, observe
-from fpplab.clouds import load_cloud, local_quadric_distance
+from fpplab.clouds import Cloud, load_cloud, local_quadric_distance
 from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.patterns.plan import Plan
@@ -161,14 +161,14 @@ def test_a_twin_becomes_the_rig_of_the_captures(
     assert page.count("Images of calseq") >= len(poses)
 
 
-@pytest.mark.whole
-def test_the_skull_is_reconstructed(
+@pytest.fixture(scope="module")
+def skull(
     fpplab: Command,
     captures: Path,
     calibration: tuple[Path, dict],  # type: ignore[type-arg]
-    tmp_path: Path,
-) -> None:
-    skull = tmp_path / "skull"
+) -> tuple[Cloud, dict]:  # type: ignore[type-arg]
+    """The skull measured by fringes, and the answer to it."""
+    skull = calibration[0].parent / "skull"
     done = fpplab(
         "import", captures / "skull_2x3", "--plan", "plan_slstudio_skull", "--frames", "{index:02d}.png",
         "--out", skull, "--json",
@@ -178,9 +178,15 @@ def test_the_skull_is_reconstructed(
         "reconstruct", skull, "--calibration", calibration[0], "--out", skull / "cloud.ply", "--json"
     )
     assert done.code == 0, done.err
-    assert done.json["verdict"] == "unverified", done.json["reason"]
-    assert done.json["points"] >= 385_000
-    distance = local_quadric_distance(load_cloud(skull / "cloud.ply"))
+    return load_cloud(skull / "cloud.ply"), done.json
+
+
+@pytest.mark.whole
+def test_the_skull_is_reconstructed(skull: tuple[Cloud, dict]) -> None:  # type: ignore[type-arg]
+    cloud, told = skull
+    assert told["verdict"] == "unverified", told["reason"]
+    assert told["points"] >= 385_000
+    distance = local_quadric_distance(cloud)
     assert np.nanmedian(np.abs(distance)) <= 0.12
 
 
@@ -197,25 +203,22 @@ def test_a_gray_code_measures_the_skull_as_fringes_do(
     fpplab: Command,
     captures: Path,
     calibration: tuple[Path, dict],  # type: ignore[type-arg]
+    skull: tuple[Cloud, dict],  # type: ignore[type-arg]
     tmp_path: Path,
 ) -> None:
     (tmp_path / "plan.yaml").write_text(GRAY_SKULL)
-    clouds = []
-    for name, plan in (("skull_gray", tmp_path / "plan.yaml"), ("skull_2x3", "plan_slstudio_skull")):
-        taken = fpplab(
-            "import", captures / name, "--plan", plan, "--frames", "{index:02d}.png", "--out", tmp_path / name
-        )
-        assert taken.code == 0, taken.err
-        cloud = tmp_path / f"{name}.ply"
-        done = fpplab(
-            "reconstruct", tmp_path / name, "--calibration", calibration[0], "--out", cloud, "--json"
-        )
-        assert done.code == 0, done.err
-        clouds.append((done.json, load_cloud(cloud)))
-    (told, gray), (_, fringes) = clouds
-    assert told["verdict"] == "unverified"
+    taken = fpplab(
+        "import", captures / "skull_gray", "--plan", tmp_path / "plan.yaml", "--frames", "{index:02d}.png",
+        "--out", tmp_path / "gray",
+    )  # fmt: skip
+    assert taken.code == 0, taken.err
+    cloud = tmp_path / "gray.ply"
+    done = fpplab("reconstruct", tmp_path / "gray", "--calibration", calibration[0], "--out", cloud, "--json")
+    assert done.code == 0, done.err
+    gray = load_cloud(cloud)
+    assert done.json["verdict"] == "unverified"
     assert len(gray) >= 370_000
-    distance, _ = cKDTree(fringes.points).query(gray.points)
+    distance, _ = cKDTree(skull[0].points).query(gray.points)
     assert np.median(distance) <= 0.35
 
 
@@ -223,7 +226,8 @@ def test_a_gray_code_measures_the_skull_as_fringes_do(
 def test_a_display_measures_by_gray_orders_and_by_two_periods(captures: Path) -> None:
     """A translucent part: Gray code of cells of 100 px with inverses, three steps of 66.67 and 100 px."""
     folder, size = captures.parent / "phase-shifting" / "object1", (1920, 1080)
-    frames = [cv2.imread(str(folder / f"{k:02d}.png"), cv2.IMREAD_GRAYSCALE) for k in range(32)]
+    read = (cv2.imread(str(folder / f"{k:02d}.png"), cv2.IMREAD_GRAYSCALE) for k in range(32))
+    frames = [np.ascontiguousarray(frame[300:900, 450:1450]) for frame in read]  # most of the part
     coordinates = []
     for periods in ((66.67, 100.0), (100.0,)):
         sets: list[dict[str, object]] = []
@@ -242,5 +246,5 @@ def test_a_display_measures_by_gray_orders_and_by_two_periods(captures: Path) ->
         coordinates.append((decoded.u, decoded.v))
     for two, one in zip(*coordinates, strict=True):
         both = np.isfinite(two) & np.isfinite(one)
-        assert both.sum() > 1_000_000
+        assert both.sum() > 250_000
         assert np.mean(np.abs(two - one)[both] < 50.0) > 0.999

@@ -116,16 +116,26 @@ def leaves(tree: Any, name: str = "") -> dict[str, Any]:
     return {place: leaf for key, one in parts for place, leaf in leaves(one, f"{name}/{key}").items()}
 
 
+@pytest.fixture(scope="module")
+def scan_of_nothing(fpplab: Command, demo: Demo, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session of a card without a board; nobody changes it."""
+    out = tmp_path_factory.mktemp("nothing") / "card"
+    done = fpplab(
+        "scan", "--rig", "rig_demo_quick", "--plan", "plan_board", "--item", "grey_card",
+        "--calibration", demo.folder / "calibration.yaml", "--out", out,
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    return out
+
+
 @pytest.mark.whole
 def test_a_session_without_its_board_is_named_and_left_out(
-    fpplab: Command, demo: Demo, tmp_path: Path
+    fpplab: Command, demo: Demo, scan_of_nothing: Path, tmp_path: Path
 ) -> None:
     poses = tmp_path / "poses"
-    shutil.copytree(demo.folder / "board", poses)
-    blank = poses / "pose_00"
-    shutil.rmtree(blank)
-    card = _scan_of_nothing(fpplab, demo, blank)
-    assert card.code == 0, card.err
+    shutil.copytree(scan_of_nothing, poses / "pose_00")
+    for k in range(1, 6):
+        shutil.copytree(demo.folder / "board" / f"pose_{k:02d}", poses / f"pose_{k:02d}")
     done = fpplab("characterise", poses, "--target", "target_paper", "--out", tmp_path / "c.yaml", "--json")
     assert done.code == 0, done.err
     assert list(done.json["left_out"]) == ["pose_00"]
@@ -133,24 +143,18 @@ def test_a_session_without_its_board_is_named_and_left_out(
 
 
 @pytest.mark.whole
-def test_no_board_in_any_session_is_a_calibration_error(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
+def test_no_board_in_any_session_is_a_calibration_error(
+    fpplab: Command, scan_of_nothing: Path, tmp_path: Path
+) -> None:
     sessions = [tmp_path / f"none_{k}" for k in range(3)]
-    assert _scan_of_nothing(fpplab, demo, sessions[0]).code == 0
-    for copy in sessions[1:]:
-        shutil.copytree(sessions[0], copy)
+    for copy in sessions:
+        shutil.copytree(scan_of_nothing, copy)
     done = fpplab(
         "characterise", *sessions, "--target", "target_paper", "--out", tmp_path / "c.yaml", "--json"
     )
     assert done.code == 5
     assert "(none_0 and 2 more: the board was not found in the image)" in done.json["error"]
     assert not (tmp_path / "c.yaml").exists()
-
-
-def _scan_of_nothing(fpplab: Command, demo: Demo, out: Path):  # type: ignore[no-untyped-def]
-    return fpplab(
-        "scan", "--rig", "rig_demo_quick", "--plan", "plan_board", "--item", "grey_card",
-        "--calibration", demo.folder / "calibration.yaml", "--out", out, "--json",
-    )  # fmt: skip
 
 
 def test_every_scan_runs_from_a_replayed_session(fpplab: Command, demo: Demo, tmp_path: Path) -> None:

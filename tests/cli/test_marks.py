@@ -113,8 +113,8 @@ def test_one_pose_of_the_board_confirms_or_corrects(bench: Bench, turned_deg: fl
 
 
 def test_a_scan_without_marks_cannot_locate_them(bench: Bench, demo: Demo) -> None:
-    poses = [demo.folder / "board", "--target", "target_paper"]
-    given = [*poses, "--marks", demo.folder / "board" / "pose_00"]
+    poses = [demo.folder / "board" / f"pose_{k:02d}" for k in range(4)]
+    given = [*poses, "--target", "target_paper", "--marks", poses[0]]
     done = bench.fpplab("characterise", *given, "--out", bench.folder / "other.yaml", "--json")
     assert done.code == 5
     assert "pose_00: 0 points of reference marks found (at least 6)" in done.json["error"]

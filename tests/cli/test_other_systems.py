@@ -1,4 +1,4 @@
-"""Commands where the system lacks what Linux has, with nothing in the cache, beside the same on Linux."""
+"""Commands without what only Linux has, and with nothing in the cache; a scan beside the same on Linux."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ import pytest
 
 from fpplab.calibration.model import Calibration
 from sim.world import World
-from tests.support.commands import ROOT
+from tests.support import commands
 
 PRETENDING = "from tests.core.windows import pretend; pretend()\n"
 """Begins every Python process of a command, the twin's Blender too."""
@@ -17,14 +17,14 @@ SAME = ("frames", "cloud.ply", "plan.yaml")
 """Parts of a session that do not tell when it was recorded."""
 
 
-def run(folder: Path, system: str, *words: str) -> str:
-    """Run a command of fpplab in a folder as on that system; what it prints."""
+def run(folder: Path, *words: str) -> str:
+    """Run a command of fpplab in a folder, without what only Linux has; what it prints."""
     (folder / "site").mkdir(parents=True, exist_ok=True)
-    (folder / "site" / "sitecustomize.py").write_text(system)
+    (folder / "site" / "sitecustomize.py").write_text(PRETENDING)
     (folder / "tmp").mkdir(exist_ok=True)
     environment = {
         **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(folder / "site"), str(ROOT)]),
+        "PYTHONPATH": os.pathsep.join([str(folder / "site"), str(commands.ROOT)]),
         "XDG_CACHE_HOME": str(folder / "cache"),
         "TMPDIR": str(folder / "tmp"),
     }
@@ -59,16 +59,17 @@ def save_calibration(folder: Path) -> None:
 
 @pytest.mark.whole
 def test_a_scan_of_the_twin_is_the_same_without_what_only_linux_has(tmp_path: Path) -> None:
-    systems = {"linux": "", "windows": PRETENDING}
-    for name, system in systems.items():
-        folder = tmp_path / name
+    folders = tmp_path / "linux", tmp_path / "windows"
+    for folder in folders:
         folder.mkdir()
         save_calibration(folder)
-        run(folder, system, *SCAN)
-        run(folder, system, *SCAN, "--force")
-        assert " MB" in run(folder, system, "session", "info", "scan")  # on disk
-        run(folder, system, "export", "scan/cloud.ply", "--out", "cloud.csv")
-    linux, windows = (content(tmp_path / name / "scan") for name in systems)
+    done = commands.run(*SCAN, cwd=folders[0])
+    assert done.code == 0, done.err
+    run(folders[1], *SCAN)
+    run(folders[1], *SCAN, "--force")
+    assert " MB" in run(folders[1], "session", "info", "scan")  # on disk
+    run(folders[1], "export", "scan/cloud.ply", "--out", "cloud.csv")
+    linux, windows = (content(folder / "scan") for folder in folders)
     assert len(linux) > 9
     assert linux == windows
 
@@ -85,4 +86,4 @@ def test_a_scan_of_the_twin_is_the_same_without_what_only_linux_has(tmp_path: Pa
     ids=lambda words: words[0],
 )
 def test_other_commands_run_without_it(tmp_path: Path, words: tuple[str, ...]) -> None:
-    run(tmp_path, PRETENDING, *words)
+    run(tmp_path, *words)

@@ -15,7 +15,7 @@ from tests.phase.test_codes import EVEN, GRAY, SIZE, blurred_light, plan_of
 def smooth(*sets: dict[str, object]) -> Recording:
     """A tilted plane under the codes, with noise."""
     plan, random = plan_of(list(sets)), np.random.default_rng(4)
-    coordinate = np.linspace(8, SIZE[0] - 9, 330) + np.linspace(0, 4, 80)[:, None]
+    coordinate = np.linspace(8, SIZE[0] - 9, 330) + np.linspace(0, 4, 20)[:, None]
     levels = 20 + 180 * blurred_light(plan, coordinate, "x", 0.6)
     frames = np.rint(levels + random.normal(0, 2, levels.shape)).clip(0, 254).astype(np.uint8)
     return Recording(list(frames), plan, SIZE)
