@@ -28,7 +28,7 @@ from drivers.basler.frames import MAX_POOL_BYTES
 from drivers.emulators.pylon import EmulatedPylon, PylonPolicy
 from fpplab.core.progress import ignore
 from fpplab.devices import CameraSettings, Frame
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.frame_writer import write_frames
 from fpplab.sessions.session import Session

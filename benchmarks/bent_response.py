@@ -16,7 +16,7 @@ from benchmarks.outside import s_shaped
 from fpplab.core.conventions import TWO_PI, Lattice
 from fpplab.devices.rig import Rig
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.phase_error import judge_response, shown_phase_error
 from fpplab.patterns.plan import Plan

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from benchmarks import Result, above, below
 from fpplab.core.conventions import TWO_PI, Floats, Image
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode

@@ -19,7 +19,8 @@ from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.conventions import TWO_PI, Floats, Image
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets.even import Even, LedName
+from fpplab.patterns.fringe_sets import LedName
+from fpplab.patterns.fringe_sets.even import Even
 from fpplab.patterns.mosaic import Bayer, colour_factors
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording

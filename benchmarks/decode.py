@@ -30,7 +30,7 @@ from benchmarks.peak import peak_of
 from fpplab.core.conventions import TWO_PI, Lattice, Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.system import cache_directory
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode

@@ -30,7 +30,7 @@ from fpplab.core.conventions import Floats, Image
 from fpplab.core.errors import FppError
 from fpplab.core.progress import no_progress
 from fpplab.diagnosis import Diagnosis, Verdict, diagnose_scan
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.pipeline.checking import fault_in_step, plan_fault

@@ -16,7 +16,7 @@ from drivers.dlp4500.sequence import SIZE as FLASH
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording

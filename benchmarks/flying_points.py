@@ -17,7 +17,7 @@ from fpplab.cli import console
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats, Image, axis_length, phase_of_coordinate, phase_steps
 from fpplab.core.geometry import Pinhole, RigidTransform
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode

@@ -17,7 +17,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Mask
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.diagnosis.verdict import diagnose_scan
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode

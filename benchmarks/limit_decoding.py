@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks import Result, below
 from fpplab.core.conventions import TWO_PI, Floats
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode

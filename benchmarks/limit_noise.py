@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks import Result, below
 from fpplab.core.conventions import Floats, Image, full_scale, phase_of_coordinate, raw_dtype
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode

@@ -18,7 +18,7 @@ from fpplab.core.depth import DepthRange
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.progress import no_progress
 from fpplab.diagnosis import Diagnosis, diagnose_scan
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.pipeline.triangulating import triangulate_recording

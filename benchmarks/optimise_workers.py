@@ -13,6 +13,7 @@ from fpplab.cli import console
 from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.scheduling import DaskWorkers, EvaluatorFactory, Task
 from fpplab.optimisation.storage import ScoresOrReason
+from fpplab.patterns.fringe_sets import FringeSet
 
 WARM = 6
 """Measurements until both workers have rendered what they need."""
@@ -75,9 +76,10 @@ class _Mortal:
 def candidates_like(like: Candidate, count: int) -> Iterable[Candidate]:
     """Make candidates with a finest set of their own, so that each is rendered."""
     *coarser, finest = like.fringes
-    return (
-        replace(like, fringes=(*coarser, replace(finest, stripes=finest.stripes + k))) for k in range(count)
-    )
+    assert isinstance(finest, FringeSet)
+    for k in range(count):
+        finer = finest.model_copy(update={"stripes": finest.stripes + k})
+        yield replace(like, fringes=(*coarser, finer))
 
 
 def timed_measurements(

@@ -22,7 +22,7 @@ from fpplab.cli import console
 from fpplab.comparison import Comparison, compare
 from fpplab.core.conventions import Floats
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import characterise_sessions, reconstruct_points, take_or_resume_session, take_poses
 from sim.prediction import Prediction, predict

@@ -29,9 +29,10 @@ from fpplab.core.config import find_config
 from fpplab.core.conventions import TWO_PI, Floats, Lattice
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import with_calibrations
-from fpplab.optimisation.candidate import Candidate, Fringes
+from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.study import Study
+from fpplab.patterns.fringe_sets import stepped_fringes
 from sim.world import World
 
 STRIPES = (32.0, 64.0, 100.0, 137.0, 167.2, 200.0, 228.0)
@@ -138,7 +139,7 @@ def stripe_figures(name: str, folder: Path) -> list[Result]:
 
 def _measured_um(evaluator: RigEvaluator, study: Study, stripes: float) -> float:
     """Root mean square distance of points from the true surface, with a finest set of twelve images."""
-    sets = tuple(Fringes("x", each, STEPS) for each in (*COARSE, stripes))
+    sets = tuple(stepped_fringes("x", each, STEPS) for each in (*COARSE, stripes))
     candidate = Candidate(sets, study.start.exposure_s)
     scores = [score for seed in SEEDS for score in evaluator.measure(candidate, seed)]
     return float(np.sqrt(np.mean([score.surface_rms_um**2 for score in scores])))

@@ -23,7 +23,7 @@ from fpplab.artefacts.shapes.steps import Staircase
 from fpplab.cli import console
 from fpplab.core import config
 from fpplab.devices import CameraSettings
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from sim.bench import VirtualBench

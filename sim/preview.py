@@ -15,7 +15,7 @@ from fpplab.core.errors import ConfigError, DataError, DeviceError
 from fpplab.core.files import write_atomic
 from fpplab.devices.backends import load_backend
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets import stepped_fringes
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from sim.bench import VirtualBench
@@ -50,7 +50,7 @@ class Arrangement:
         return self._plan(counts if self.stripes > 1 else [self.stripes])
 
     def _plan(self, counts: list[float]) -> Plan:
-        sets = tuple(Sinusoid(axis=self.axis, stripes=count, steps=self.steps) for count in counts)
+        sets = tuple(stepped_fringes(self.axis, count, self.steps) for count in counts)
         return Plan(fringes=sets, exposure_s=self.exposure_s)
 
 

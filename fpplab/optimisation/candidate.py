@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol
 
-from fpplab.core.conventions import Axis
-from fpplab.patterns.fringe_sets import MAX_PATTERN_BITS, Sinusoid
+from fpplab.patterns.fringe_sets import AnySet
 from fpplab.patterns.plan import Plan
 
 Point = tuple[float, ...]
@@ -14,20 +13,10 @@ Point = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Fringes:
-    """One fringe set of a candidate."""
-
-    axis: Axis  # direction along which the phase grows
-    stripes: float  # number of periods across the projector
-    steps: int  # number of phase-shifted images
-    pattern_bits: int | None = None  # bits in which they are projected; None for all that there are
-
-
-@dataclass(frozen=True)
 class Candidate:
     """One arrangement that a search can try."""
 
-    fringes: tuple[Fringes, ...]  # fringe sets, the base first
+    fringes: tuple[AnySet, ...]  # sets of patterns; of fringes the base first
     exposure_s: float  # exposure of every image in seconds
     stage_mm: float | None = None  # position of the stage that moves a device, which sets the baseline
     convergence_deg: float | None = None  # rotation of the projector towards the camera in degrees
@@ -36,12 +25,11 @@ class Candidate:
     @classmethod
     def of(cls, plan: Plan) -> Candidate:
         plan.refuse_set_exposures("a search")
-        sets = tuple(Fringes(f.axis, f.stripes, f.images, f.pattern_bits) for f in plan.fringes)
-        return cls(sets, plan.exposure_s, plan.stage_mm, exposures_s=plan.exposures_s)
+        return cls(plan.sets, plan.exposure_s, plan.stage_mm, exposures_s=plan.exposures_s)
 
     @property
     def images(self) -> int:
-        return sum(fringes.steps for fringes in self.fringes)
+        return sum(each.images for each in self.fringes)
 
     @property
     def exposures(self) -> tuple[float, ...]:
@@ -54,12 +42,17 @@ class Candidate:
     @property
     def pattern_bits(self) -> int:
         """Most bits in which images are projected."""
-        return max(fringes.pattern_bits or MAX_PATTERN_BITS for fringes in self.fringes)
+        return max(each.bit_depth for each in self.fringes)
 
     def plan(self, template: Plan) -> Plan:
-        sets = tuple(Sinusoid(**asdict(fringes)) for fringes in self.fringes)
-        changed = {"fringes": sets, "exposure_s": self.exposure_s, "stage_mm": self.stage_mm}
+        changed = {"fringes": self.fringes, "exposure_s": self.exposure_s, "stage_mm": self.stage_mm}
         return template.model_copy(update=changed)
+
+
+def candidate_fields(candidate: Candidate) -> dict[str, Any]:
+    """Describe a candidate in JSON."""
+    sets = [each.model_dump(mode="json", exclude_none=True) for each in candidate.fringes]
+    return {**vars(candidate), "fringes": sets}
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.optimisation.candidate import Candidate, Point, Score
+from fpplab.optimisation.candidate import Candidate, Point, Score, candidate_fields
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,5 @@ class MeasuredCandidate:
         return self.refused is None and self.failed is None
 
     def summary(self) -> dict[str, Any]:
-        described = asdict(self.candidate)
-        described["fringes"] = list(described["fringes"])
         figures = asdict(self.figures) if self.measured else {"failed": self.refused or self.failed}
-        return {**described, **figures}
+        return {**candidate_fields(self.candidate), **figures}

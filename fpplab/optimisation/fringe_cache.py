@@ -8,15 +8,17 @@ set in the plan and its phase shift alone, so not on the order of measurements o
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
 
 from fpplab.acquisition.acquire import capture
-from fpplab.core.conventions import Axis, Image
+from fpplab.core.conventions import Axis, Floats, Image, axis_length
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Seeded
-from fpplab.optimisation.candidate import Fringes
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets import PatternSet
 from fpplab.patterns.plan import Plan
 
 
@@ -31,20 +33,20 @@ class MeasuringSetup:
     taken: int = 0  # how often every image was taken before, at other exposures
 
 
-@dataclass(frozen=True)
-class _Key:
-    """What fringe sets share images by. place: position in the plan if the noise depends on it, else 0."""
+class _Key(NamedTuple):
+    """What images are equal by."""
 
     setup: MeasuringSetup
-    axis: Axis
-    stripes: float
-    pattern_bits: int | None
+    shown: bytes  # digest of the light along the axis
+    axis: Axis | None
+    bits: int  # of the pattern
     seed: int
-    place: int
+    place: int  # position of the set in the plan if the noise depends on it, else 0
+    share: Fraction  # of the set's images that come before
 
 
 class FringeSetCache:
-    """The frames of fringe sets on an open rig, acquired when they are first asked for."""
+    """The frames of pattern sets on an open rig, acquired when they are first asked for."""
 
     def __init__(
         self,
@@ -55,70 +57,57 @@ class FringeSetCache:
     ) -> None:
         self._rig, self._template, self._arrange, self._limit = rig, template, arrange, keep_bytes
         self._seeded = rig.simulation if isinstance(rig.simulation, Seeded) else None
-        self._kept: OrderedDict[_Key, dict[int, list[Image]]] = OrderedDict()
+        self._kept: OrderedDict[_Key, Image] = OrderedDict()
         self.acquired = 0
         """Images taken since the beginning."""
 
-    def frames(self, setup: MeasuringSetup, fringes: Sequence[Fringes], seed: int) -> list[Image]:
+    def frames(self, setup: MeasuringSetup, sets: Sequence[PatternSet], seed: int) -> list[Image]:
         # returns (height, width)
-        keys = [self._key(setup, fringe_set, place, seed) for place, fringe_set in enumerate(fringes)]
-        missing = [i for i, key in enumerate(keys) if self._cached_frames(key, fringes[i].steps) is None]
+        keys = [self._keys(setup, each, place, seed) for place, each in enumerate(sets)]
+        missing = [i for i, images in enumerate(keys) if not all(key in self._kept for key in images)]
         if missing:
             self._arrange(setup)
-            self._acquire(setup, [fringes[i] for i in missing], [keys[i] for i in missing])
-        sets = [
-            self._cached_frames(key, fringe_set.steps) for key, fringe_set in zip(keys, fringes, strict=True)
+            self._acquire(setup, tuple(sets[i] for i in missing), [k for i in missing for k in keys[i]])
+        used = [key for images in keys for key in images]
+        frames = [self._kept[key] for key in used]
+        self._evict_unused(used)
+        return frames
+
+    def _keys(self, setup: MeasuringSetup, shown: PatternSet, place: int, seed: int) -> list[_Key]:
+        length = axis_length(self._rig.projector.caps.size, shown.coded_axis or "x")
+        pixels, place = np.arange(length, dtype=np.float64), place if self._seeded else 0
+        of_set = shown.coded_axis, shown.bit_depth, seed, place
+        return [
+            _Key(setup, _digest(shown.light(n, pixels, length)), *of_set, Fraction(n, shown.images))
+            for n in range(shown.images)
         ]
-        self._evict_unused(keys)
-        return [frame for frames in sets if frames is not None for frame in frames]
 
-    def _key(self, setup: MeasuringSetup, fringes: Fringes, place: int, seed: int) -> _Key:
-        return _Key(
-            setup, fringes.axis, fringes.stripes, fringes.pattern_bits, seed, place if self._seeded else 0
-        )
-
-    def _cached_frames(self, key: _Key, steps: int) -> list[Image] | None:
-        """Frames of a set from the set itself, or else from the smallest that contains it."""
-        kept = self._kept.get(key, {})
-        holding = min((count for count in kept if count % steps == 0), default=None)
-        return None if holding is None else kept[holding][:: holding // steps]
-
-    def _acquire(self, setup: MeasuringSetup, fringes: list[Fringes], keys: list[_Key]) -> None:
-        sets = tuple(Sinusoid(**asdict(fringe_set)) for fringe_set in fringes)
+    def _acquire(self, setup: MeasuringSetup, sets: tuple[PatternSet, ...], keys: list[_Key]) -> None:
         if self._seeded is not None:
-            self._seeded.draw(
-                number
-                for key, fringe_set in zip(keys, fringes, strict=True)
-                for number in noise_numbers(key, fringe_set.steps)
-            )
+            self._seeded.draw(noise_number(key) for key in keys)
         plan = self._template.model_copy(
             update={"fringes": sets, "exposure_s": setup.exposure_s, "exposures_s": None}
         )
-        frames = iter(capture(self._rig, plan))
-        for key, fringe_set in zip(keys, fringes, strict=True):
-            self._kept.setdefault(key, {})[fringe_set.steps] = [next(frames) for _ in range(fringe_set.steps)]
+        self._kept.update(zip(keys, capture(self._rig, plan), strict=True))
         self.acquired += plan.images
 
     def _evict_unused(self, used: Iterable[_Key]) -> None:
         for key in used:
             self._kept.move_to_end(key)
-        held = sum(_frame_bytes(sets) for sets in self._kept.values())
+        held = sum(frame.nbytes for frame in self._kept.values())
         while held > self._limit and len(self._kept) > 1:
-            held -= _frame_bytes(self._kept.popitem(last=False)[1])
+            held -= self._kept.popitem(last=False)[1].nbytes
 
 
-def _frame_bytes(sets: dict[int, list[Image]]) -> int:
-    return sum(frame.nbytes for frames in sets.values() for frame in frames)
+def _digest(light: Floats) -> bytes:
+    """Digest of a pattern: equal for images of sets with other numbers of steps, which differ by rounding."""
+    return hashlib.blake2b((np.round(light, 9) + 0.0).tobytes(), digest_size=16).digest()
 
 
-def noise_numbers(key: _Key, steps: int) -> list[int]:
-    # It depends neither on the stripe count nor on the number of steps, so that similar candidates have equal
+def noise_number(key: _Key) -> int:
+    # It depends neither on the pattern nor on the number of steps, so that similar candidates have equal
     # noise.
     again = (key.setup.taken,) if key.setup.taken else ()
-    parts = key.seed, key.setup.item, key.axis, key.place
-    return [_hash_number(*parts, Fraction(n, steps), *again) for n in range(steps)]
-
-
-def _hash_number(*parts: object) -> int:
+    parts = key.seed, key.setup.item, key.axis, key.place, key.share, *again
     digest = hashlib.blake2b("/".join(map(str, parts)).encode(), digest_size=7)
     return int.from_bytes(digest.digest(), "big")

@@ -10,6 +10,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Seeded, Turnable
 from fpplab.optimisation.candidate import Candidate
+from fpplab.patterns.fringe_sets import PeriodicSet
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,14 @@ class RigLimits:
         return axis_length(self.size, axis) / pixels_per_period
 
     def refusals(self, candidate: Candidate, pixels_per_period: float = 2.0) -> Iterator[str]:
-        for i, fringe in enumerate(candidate.fringes):
-            max_stripes = self.max_stripes(fringe.axis, pixels_per_period)
-            if fringe.stripes > max_stripes:
+        for i, each in enumerate(candidate.fringes):
+            if not isinstance(each, PeriodicSet):
+                continue
+            max_stripes = self.max_stripes(each.axis, pixels_per_period)
+            if each.stripes > max_stripes:
                 yield (
-                    f"'fringes[{i}].stripes' is {fringe.stripes:g}: at {pixels_per_period:g} projector "
-                    f"pixels per period at most {max_stripes:g} along {fringe.axis}"
+                    f"'fringes[{i}].stripes' is {each.stripes:g}: at {pixels_per_period:g} projector "
+                    f"pixels per period at most {max_stripes:g} along {each.axis}"
                 )
         if candidate.images > self.max_patterns:
             yield f"{candidate.images} images: the projector holds at most {self.max_patterns} patterns"

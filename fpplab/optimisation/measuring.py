@@ -28,7 +28,7 @@ from fpplab.optimisation.problem import SearchProblem
 from fpplab.optimisation.scoring import LIMITS, ArtefactFigures, TrueShape
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.phase import Decoded, check_unwrapping, decode
+from fpplab.phase import Decoded, check_codes, check_unwrapping, decode
 from fpplab.phase.bounds import DecodingBounds, widest_interval_share
 from fpplab.phase.exposures import merged_recording
 from fpplab.reconstruction.depth_range import decoding_bounds
@@ -179,6 +179,7 @@ def possible_coordinates(plan: Plan, calibration: Calibration, rig: Rig) -> Deco
     )
     bounds, size = decoding_bounds(plan, calibration, depth), calibration.projector.size
     try:
+        check_codes(plan, size, "plan")
         check_unwrapping(
             plan, "plan", {axis: widest_interval_share(bounds, axis, size) for axis in plan.axes}
         )

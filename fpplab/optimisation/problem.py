@@ -12,7 +12,7 @@ from fpplab.core.conventions import Axis
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation import objectives  # noqa: F401 - defines the objectives
 from fpplab.optimisation.objective import registered_objectives
-from fpplab.patterns.fringe_sets import PatternBits
+from fpplab.patterns.fringe_sets import AnySet, PatternBits
 from fpplab.patterns.plan import Plan
 
 ANY_RIG = "any"  # value of `SearchProblem.rig` for a study that suits any rig
@@ -39,6 +39,19 @@ Range = tuple[float, float]
 OF_ALL_SETS = ("exposure_s", "pattern_bits", "stage_mm", "convergence_deg")  # parameters beside the sets' own
 
 
+Ranges = tuple[dict[str, Range] | None, ...]
+
+
+class Alternative(Document):
+    """Sets of patterns of any kind that a candidate may show in place of the start's."""
+
+    fringes: Annotated[tuple[AnySet, ...], Field(min_length=1, max_length=8)]
+    """The sets, as in a plan file; all else is as in the start's plan."""
+    ranges: Ranges = ()
+    """Bounds of numbers of each set, by the names of its fields, such as `{bits: [6, 8]}`; null where all are
+    kept."""
+
+
 class SpaceFile(Document):
     """Bounds [least, most] of what is searched."""
 
@@ -51,6 +64,10 @@ class SpaceFile(Document):
     """
     stripes: tuple[Positives | None, ...] = ()
     """Stripe counts of each set, null where they are kept; entries as in `steps`."""
+    ranges: Ranges = ()
+    """Bounds of further numbers of each set, by the names of its fields, such as `{cell_px: [4, 16]}`."""
+    alternatives: tuple[Alternative, ...] = ()
+    """Other sets to choose from, of any kind, each with its own bounds."""
     axis: tuple[Axis, ...] = ()
     """Fringe directions to choose from."""
     exposure_s: Positives | None = None
@@ -78,11 +95,22 @@ class SpaceFile(Document):
             raise ValueError(f"'axis' is {list(self.axis)}: names an axis twice")
         return self
 
+    def ranges_of_arrangements(self) -> list[tuple[str, Ranges]]:
+        """Further ranges of the start's sets, then those of the alternatives', with the prefix of names."""
+        others = ((f"alternatives[{k}].", each.ranges) for k, each in enumerate(self.alternatives))
+        return [("", self.ranges), *others]
+
     def bounds(self) -> list[tuple[str, tuple[float, float]]]:
         # returns (float, float)
         named: list[tuple[str, tuple[float, float] | None]] = [("sets", self.sets)]
         named += [(f"steps[{i}]", bounds) for i, bounds in enumerate(self.steps)]
         named += [(f"stripes[{i}]", bounds) for i, bounds in enumerate(self.stripes)]
+        for prefix, ranges in self.ranges_of_arrangements():
+            named += [
+                (f"{prefix}{name}[{i}]", bounds)
+                for i, own in enumerate(ranges)
+                for name, bounds in (own or {}).items()
+            ]
         named += [(name, getattr(self, name)) for name in OF_ALL_SETS]
         return [(name, bounds) for name, bounds in named if bounds is not None]
 

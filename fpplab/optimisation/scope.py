@@ -3,7 +3,7 @@
 from enum import StrEnum
 from typing import Literal
 
-ParameterGroup = Literal["steps", "stripes", "geometry", "light"]
+ParameterGroup = Literal["steps", "stripes", "codes", "geometry", "light"]
 
 
 class SearchScope(StrEnum):
@@ -20,8 +20,8 @@ class SearchScope(StrEnum):
 
 
 _GROUPS: dict[SearchScope, tuple[ParameterGroup, ...]] = {
-    SearchScope.PHASES: ("steps",),
-    SearchScope.STRIPES: ("stripes",),
+    SearchScope.PHASES: ("steps", "codes"),
+    SearchScope.STRIPES: ("stripes", "codes"),
     SearchScope.BASELINE: ("geometry",),
-    SearchScope.PARETO: ("steps", "stripes", "geometry", "light"),
+    SearchScope.PARETO: ("steps", "stripes", "codes", "geometry", "light"),
 }

@@ -184,13 +184,14 @@ class TrueShape:
         pixels: NDArray[np.int32],
         T_true_camera: RigidTransform,
     ) -> float:
-        """Compute the share of pixels whose coordinate is off by half a period of the finest set or more."""
+        """Compute the share of pixels whose coordinate is off by half a period of the finest set."""
         # Pixels that seem wrong are checked again with rays from the camera as aligned by T_true_camera,
         # edges of the shape in its nominal pose may lie a pixel off.
         wrong = 0
         for axis in plan.axes:
-            stripes = plan.fringes[plan.finest_set(axis)].stripes
-            half = axis_length(calibration.projector.size, axis) / stripes / 2.0
+            length, fringes = axis_length(calibration.projector.size, axis), plan.fringe_part
+            sets = fringes.sets if fringes and axis in fringes.axes else plan.sets
+            half = length / max(each.finest_stripes(length) for each in sets if each.coded_axis == axis) / 2.0
             coordinate = decoded.coordinate(axis)
             u, v = pixels.T
             lower, upper = (bound[v, u] for bound in self._projector_bounds(calibration)[axis])

@@ -17,12 +17,12 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import FrameSampler, Predictable
-from fpplab.optimisation.candidate import Candidate, Fringes, Score
+from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.measuring import possible_coordinates
 from fpplab.optimisation.problem import SearchProblem
 from fpplab.optimisation.scoring import ArtefactFigures, TrueShape
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets import PatternSet
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
@@ -67,7 +67,7 @@ class SampledEvaluator:
         self._file, self._problem, self._stack = rig, problem, ExitStack()
         self._samplers: dict[int, FrameSampler] = {}
         self._parts: dict[str, list[_ImagePart]] = {}
-        self._patterns: OrderedDict[Fringes, tuple[Pattern, ...]] = OrderedDict()
+        self._patterns: OrderedDict[PatternSet, tuple[Pattern, ...]] = OrderedDict()
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
         dead = RigLimits.of(self._rig).dead_time_s + self._problem.start.settle_s
@@ -121,9 +121,9 @@ class SampledEvaluator:
         frames = [
             frame
             for taken, settings in enumerate(several)
-            for number, fringes in enumerate(candidate.fringes, first + LIMITS.max_draws * taken)
+            for number, shown in enumerate(candidate.fringes, first + LIMITS.max_draws * taken)
             for frame in sampler.frames(
-                name, self._patterns_of(fringes), settings, part.rows, number, part.columns
+                name, self._patterns_of(shown), settings, part.rows, number, part.columns
             )
         ]
         size = part.calibration.projector.size
@@ -131,16 +131,16 @@ class SampledEvaluator:
         raw = Recording(frames, plan, size, several[0].bits, name, bayer=bayer)
         return merged_recording(raw, candidate.exposures)
 
-    def _patterns_of(self, fringes: Fringes) -> tuple[Pattern, ...]:
+    def _patterns_of(self, shown: PatternSet) -> tuple[Pattern, ...]:
         """Make the patterns of a set once: the simulation keeps what it computes by the patterns it got."""
-        if fringes not in self._patterns:
-            caps, sinusoid = self._rig.projector.caps, Sinusoid(**asdict(fringes))
-            plan = self._problem.start.model_copy(update={"fringes": (sinusoid,)})
-            self._patterns[fringes] = tuple(make_patterns(plan, caps.size, caps.lattice))
-        self._patterns.move_to_end(fringes)
+        if shown not in self._patterns:
+            caps = self._rig.projector.caps
+            plan = self._problem.start.model_copy(update={"fringes": (shown,)})
+            self._patterns[shown] = tuple(make_patterns(plan, caps.size, caps.lattice))
+        self._patterns.move_to_end(shown)
         while len(self._patterns) > LIMITS.kept_sets:
             self._patterns.popitem(last=False)
-        return self._patterns[fringes]
+        return self._patterns[shown]
 
     def _parts_of(self, name: str) -> list[_ImagePart]:
         if name not in self._parts:

@@ -12,7 +12,7 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.journals import append_line, cut_torn_line, make_journal, whole_lines
 from fpplab.core.strict_json import parse_object
 from fpplab.core.version import __version__
-from fpplab.optimisation.candidate import Candidate, Score
+from fpplab.optimisation.candidate import Candidate, Score, candidate_fields
 from fpplab.optimisation.problem import SearchProblem
 
 IDENTITY_FIELDS = ("artefacts", "start", "calibrations")
@@ -48,7 +48,7 @@ class Journal:
         fields: dict[str, Any] = (
             {"failed": outcome} if isinstance(outcome, str) else {"scores": [asdict(s) for s in outcome]}
         )
-        append_line(self.path, json.dumps({"candidate": asdict(candidate), "seed": seed, **fields}))
+        append_line(self.path, json.dumps({"candidate": candidate_fields(candidate), "seed": seed, **fields}))
         self._outcomes[candidate, seed] = outcome
 
     def _read(self) -> None:
@@ -61,7 +61,8 @@ class Journal:
                 else:
                     failed = "failed" in data
                     outcome = str(data["failed"]) if failed else _scores.validate_python(data["scores"])
-                    self._outcomes[_candidate.validate_python(data["candidate"]), data["seed"]] = outcome
+                    candidate = _candidate.validate_json(json.dumps(data["candidate"]))
+                    self._outcomes[candidate, data["seed"]] = outcome
             except (ValidationError, ValueError, KeyError, TypeError) as error:
                 reason = config.describe(error) if isinstance(error, ValidationError) else str(error)
                 raise DataError(f"{self.path} line {number}: is not a measurement ({reason})") from error

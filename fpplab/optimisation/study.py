@@ -13,7 +13,7 @@ from fpplab.core.tagged_union import TaggedUnion, registered_types
 from fpplab.optimisation import methods  # noqa: F401 - defines the members of SearchMethod
 from fpplab.optimisation.problem import SearchProblem
 from fpplab.optimisation.search_method import SearchMethod
-from fpplab.patterns.plan import Plan
+from fpplab.patterns.plan import Plan, with_named_files
 
 
 class Study(SearchProblem):
@@ -58,6 +58,10 @@ def _resolve_plan_and_paths(data: dict[str, Any], folder: Path) -> dict[str, Any
             key: config.resolve_relative_to(value, folder) if key in ("target", "plan") else value
             for key, value in data["board"].items()
         }
+    space = data.get("space")
+    if isinstance(space, dict) and isinstance(space.get("alternatives"), list):
+        alternatives = [with_named_files(each, folder) for each in space["alternatives"]]
+        data["space"] = {**space, "alternatives": alternatives}
     if isinstance(data.get("start"), str):
         data["start"] = Plan.load(config.resolve_relative_to(data["start"], folder)).model_dump(mode="json")
     if isinstance(data.get("calibrations"), list):

@@ -135,7 +135,7 @@ def _extendable_borders(result: SearchResult) -> Iterator[Finding]:
     for i, parameter in enumerate(space.parameters):
         value = result.optimum.point[i]
         for border, outwards in ((parameter.lower, -1.0), (parameter.upper, 1.0)):
-            if value != border or parameter.name == "axis":
+            if value != border or parameter.name in ("axis", "alternative"):
                 continue
             step = 1.0 if parameter.is_integer else LIMITS.beyond_border * (parameter.upper - parameter.lower)
             beyond = value + outwards * step
@@ -144,7 +144,8 @@ def _extendable_borders(result: SearchResult) -> Iterator[Finding]:
             if parameter.name == "sets" or (parameter.name.startswith("steps") and beyond < LIMITS.min_steps):
                 continue
             point = (*result.optimum.point[:i], beyond, *result.optimum.point[i + 1 :])
-            if space.refusal(space.candidate(point)) is None:
+            candidate = space.candidate(point)
+            if candidate != result.optimum.candidate and space.refusal(candidate) is None:
                 evidence = (
                     f"{parameter.name} is {value:g}, at the border of its range from {parameter.lower:g} to "
                     f"{parameter.upper:g}"

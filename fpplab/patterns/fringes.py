@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Lattice, full_scale
 from fpplab.patterns.fringe_sets import MAX_PATTERN_BITS
-from fpplab.patterns.fringe_sets.even import Even
 from fpplab.patterns.plan import Plan
 
 Level = TypeVar("Level", bound=np.generic)
@@ -70,7 +69,7 @@ def _make_patterns_cached(plan: Plan, size: tuple[int, int], lattice: Lattice) -
         image = pattern_image(plan, i, n, size, lattice)
         image.flags.writeable = False
         shown = plan.sets[i]
-        patterns.append(Pattern(name, image, shown.bit_depth, shown.led if isinstance(shown, Even) else None))
+        patterns.append(Pattern(name, image, shown.bit_depth, shown.one_led))
     return tuple(patterns)
 
 

@@ -15,21 +15,30 @@ from fpplab.core.conventions import AXES, Axis, axis_length
 from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.core.file_kinds import naming_other_kinds
-from fpplab.core.tagged_union import TaggedUnion
+from fpplab.core.tagged_union import registered_types
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import FringeSet, PatternSet, indices_along
+from fpplab.patterns.fringe_sets import AnySet, FringeSet, PatternSet, indices_along
 from fpplab.patterns.fringe_sets.base import ExposureTime
-from fpplab.patterns.fringe_sets.pattern_files import with_pattern_files
 from fpplab.patterns.response import with_named_response
 from fpplab.patterns.unwrapping import unwrapping_methods
-
-AnySet = Annotated[PatternSet, TaggedUnion(default="sinusoid")]
-"""A set of patterns of any kind; a sinusoid where no `kind` is given."""
 
 
 def _single_exposure(given: dict[str, Any]) -> float:
     several = sorted(given.get("exposures_s") or [0.02])
     return float(several[len(several) // 2])
+
+
+def with_named_files(data: Any, folder: Path) -> Any:
+    """Put into the raw data of a plan what the files hold that its sets name."""
+    sets = data.get("fringes") if isinstance(data, dict) else None
+    if not isinstance(sets, list):
+        return data
+    kinds: dict[str, Any] = registered_types(PatternSet)
+    completed = []
+    for each in sets:
+        kind = kinds.get(str(each.get("kind"))) if isinstance(each, dict) else None
+        completed.append(kind.completed(each, folder) if kind else each)
+    return {**data, "fringes": completed}
 
 
 def _known_method(name: str) -> str:
@@ -241,7 +250,7 @@ class Plan(Document):
         file = config.find_config(path, "plan")
         with naming_other_kinds(file, "plan"):
             data = config.parse_yaml(config.read_text(file), file)
-            data = with_pattern_files(with_named_response(data, file), file)
+            data = with_named_files(with_named_response(data, file), file.parent)
             return config.validate(data, cls, file)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Plan:
@@ -270,7 +279,8 @@ class Plan(Document):
         """
         fringes = tuple(each for each in self.sets if isinstance(each, FringeSet))
         if len(fringes) < len(self.sets):
-            kinds = ", ".join(sorted({type(each).__name__.lower() for each in self.sets} - {"sinusoid"}))
+            others = {type(each).__name__.lower() for each in self.sets if not isinstance(each, FringeSet)}
+            kinds = ", ".join(sorted(others))
             raise ConfigError(f"the plan has sets that are no fringes ({kinds}), which this cannot use")
         return fringes
 

@@ -18,7 +18,6 @@ from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import FringeSet
-from fpplab.patterns.fringe_sets.even import Even
 from fpplab.patterns.mosaic import Bayer, colours_at, mean_of, without_mosaic
 from fpplab.patterns.motion import Compensation
 from fpplab.patterns.phase_error import relative_harmonics
@@ -312,8 +311,8 @@ class Recording:
         frames: dict[float, list[Image]] = {1.0: [], 0.0: []}
         for image, (index, step, _) in enumerate(self.plan.steps()):
             shown = self.plan.sets[index]
-            if isinstance(shown, Even) and shown.led == led and shown.levels[step] in frames:
-                frames[shown.levels[step]].append(self.frames[image])
+            if shown.coded_axis is None and shown.one_led == led:
+                frames.get(float(shown.light(step, np.zeros(1), 1)[0]), []).append(self.frames[image])
         if not frames[1.0]:
             return None
         light = mean_of(frames[1.0], self.grey)
@@ -330,9 +329,9 @@ class Recording:
 
     def _is_white(self, index: int, step: int) -> bool:
         shown = self.plan.sets[index]
-        if isinstance(shown, Even) and shown.led:
+        if shown.coded_axis or shown.one_led:
             return False
-        return shown.coded_axis is None and bool(shown.light(step, np.zeros(1), 1)[0] > 0.5)
+        return bool(shown.light(step, np.zeros(1), 1)[0] > 0.5)
 
     def checked(self) -> Recording:
         """Make sure that the frames are the plan's, as contiguous arrays of the machine's byte order.

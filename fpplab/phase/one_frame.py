@@ -20,7 +20,7 @@ import numpy as np
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Map, Mask, axis_length
 from fpplab.core.errors import DataError
 from fpplab.core.progress import Progress
-from fpplab.patterns.fringe_sets.base import PeriodicSet
+from fpplab.patterns.fringe_sets import PeriodicSet
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import unwrapping_methods

@@ -10,7 +10,7 @@ from fpplab.core.config import load_document, resolve_relative_to
 from fpplab.core.conventions import Axis, Floats, Map, axis_length
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, no_progress
-from fpplab.patterns.fringe_sets.base import PeriodicSet
+from fpplab.patterns.fringe_sets import PeriodicSet
 from fpplab.patterns.recording import KnownCoordinate, Recording
 from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import Decoded, decode

@@ -113,8 +113,8 @@ def _candidate_row(name: str, trial: MeasuredCandidate, search: SearchResult) ->
     stage = candidate.stage_mm
     return (
         name,
-        ", ".join(f"{f.stripes:g}" for f in candidate.fringes),
-        ", ".join(str(f.steps) for f in candidate.fringes),
+        ", ".join(each.short_name for each in candidate.fringes),
+        ", ".join(str(each.images) for each in candidate.fringes),
         "" if stage is None else f"{stage:g}",
         *(objective.text(trial) for objective in _objectives_in_order(search)),
         _with_spread(CandidateFigures.of(rescored)) if rescored else "",

@@ -30,7 +30,7 @@ from fpplab.devices import (
     ProjectorCaps,
     Trigger,
 )
-from fpplab.patterns.fringe_sets.even import LedName
+from fpplab.patterns.fringe_sets import LedName
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.sessions.journal import FrameRecord
 from fpplab.sessions.origin import session_origin

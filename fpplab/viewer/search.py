@@ -63,8 +63,8 @@ def _candidate_row(name: str, trial: MeasuredCandidate) -> str:
     cells = (
         name,
         str(figures.images),
-        " ".join(f"{f.stripes:g}" for f in candidate.fringes),
-        " ".join(str(f.steps) for f in candidate.fringes),
+        " ".join(each.short_name for each in candidate.fringes),
+        " ".join(str(each.images) for each in candidate.fringes),
         "" if candidate.stage_mm is None else f"{candidate.stage_mm:g}",
         f"{figures.surface_smcd_um:.2f}",
         f"{figures.completeness:.3f}",

@@ -30,7 +30,7 @@ from fpplab.acquisition.synchronisation import (
 )
 from fpplab.core.conventions import Floats, Image, axis_length, full_scale, phase_of_coordinate, phase_steps
 from fpplab.core.errors import CalibrationError, DataError
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from tests.diagnosis.scenes import Bench, plan_of

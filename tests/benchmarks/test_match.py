@@ -13,7 +13,7 @@ from fpplab.core import config
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from sim.matching.match import MatchingLimits
 from sim.matching.record import MatchingRecord

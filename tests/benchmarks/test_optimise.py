@@ -27,7 +27,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.errors import DataError
 from fpplab.core.system import cache_directory
-from fpplab.optimisation.candidate import Candidate, Fringes
+from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
 from fpplab.optimisation.confirm_result import ConfirmedPlan
 from fpplab.optimisation.figures import seed_means
@@ -35,6 +35,7 @@ from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.run import run_search
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.scoring import ArtefactFigures, TrueShape
+from fpplab.patterns.fringe_sets import stepped_fringes
 from fpplab.pipeline import CALIBRATION
 from sim.worker import Blender
 from sim.world import World
@@ -279,7 +280,7 @@ def test_the_gain_is_that_of_seeds_which_chose_nothing(found: SearchResult) -> N
 def test_one_process_alone_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     killed: list[int] = []
     monkeypatch.setattr("psutil.Process.kill", lambda process: killed.append(process.pid))
-    asked = Candidate((Fringes("x", 1.0, 3), Fringes("x", 4.0, 3)), 0.02), 1
+    asked = Candidate((stepped_fringes("x", 1.0, 3), stepped_fringes("x", 4.0, 3)), 0.02), 1
     for _ in range(2):
         assert KilledOnce(Formula(), tmp_path / "died")().measure(*asked) == Formula()().measure(*asked)
         assert killed == [os.getpid()]

@@ -20,7 +20,7 @@ from benchmarks.outside import (
     s_shaped,
 )
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 from sim.prediction import MeasuredFigures, Prediction

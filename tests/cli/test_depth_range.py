@@ -9,7 +9,7 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError
 from fpplab.core.progress import no_progress
 from fpplab.devices import CameraSettings, Frame
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import MaskRules, Plan
 from fpplab.pipeline.decoding import checked_recording

@@ -11,7 +11,7 @@ from fpplab.acquisition.acquire import acquire
 from fpplab.cli.logs import LOGGERS, start_logging, stop_logging
 from fpplab.core.errors import DataError
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.session import Session
 from tests.support.commands import ROOT, Command

@@ -11,7 +11,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.config import find_config
 from fpplab.core.errors import CapabilityError, ConfigError, FppError, SettingError
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.setup.plan_precision import plan_precision
 from fpplab.setup.plan_preview import preview_plan

@@ -12,7 +12,7 @@ from fpplab.core.errors import DataError
 from fpplab.core.session_names import JOURNAL
 from fpplab.core.units import readable_bytes
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_or_resume_session, take_poses
 from fpplab.sessions.image_selection import ImageSelection

@@ -10,7 +10,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import FrameLossError
 from fpplab.devices import Device
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 

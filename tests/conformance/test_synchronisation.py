@@ -20,7 +20,7 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import CalibrationError, DataError, DeviceError, FppError, SyncError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices.rig import Rig, RigFile
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CLOUD, DECODED, REPORT, characterise_sessions
 from fpplab.sessions.session import Session

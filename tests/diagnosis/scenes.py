@@ -8,7 +8,7 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import TWO_PI, Floats, axis_length, full_scale, raw_dtype
 from fpplab.core.geometry import Pinhole, RigidTransform
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.reconstruction.triangulation import camera_slopes

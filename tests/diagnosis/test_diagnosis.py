@@ -35,7 +35,7 @@ from fpplab.diagnosis.causes.wrong_axis import WRONG_AXIS
 from fpplab.diagnosis.geometry import GeometryCheck
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.points import triangulation_angles_deg
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.points import points_of

@@ -16,7 +16,7 @@ from fpplab.core import config
 from fpplab.core.conventions import Image, Lattice
 from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig, RigFile
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from tests.conformance.reference import CAMERA_SIZE, PROJECTOR_SIZE

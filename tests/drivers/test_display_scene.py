@@ -12,7 +12,7 @@ from fpplab.core.errors import SyncError
 from fpplab.core.progress import no_progress
 from fpplab.devices.rig import Rig, RigFile
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import GreyLevels, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode

@@ -19,7 +19,7 @@ from drivers.emulators.dlpc350.flash import decompress_pixels, stored_images
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from tests.drivers.flash_files import BEHIND_PROGRAM, END, IMAGES, PROGRAM, maker_firmware

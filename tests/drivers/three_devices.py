@@ -23,7 +23,7 @@ from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode

@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image as Pillow
 
 from fpplab.core import config
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from tests.full_disk.trial import Writing
 

@@ -216,7 +216,7 @@ def firmware() -> bytes:
     """A flash file with three patterns."""
     from drivers.dlp4500.flash.firmware import Firmware
     from fpplab.core.conventions import Lattice
-    from fpplab.patterns.fringe_sets import Sinusoid
+    from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
     from fpplab.patterns.fringes import make_patterns
     from fpplab.patterns.plan import Plan
     from tests.drivers.flash_files import maker_firmware

@@ -15,7 +15,7 @@ from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.confirm import Confirmation, compare_plans
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.study import Study
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from tests.support.rigs import CAMERA, PAIR, SQUARE
 

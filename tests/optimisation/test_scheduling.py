@@ -16,7 +16,7 @@ import pytest
 
 from fpplab.core.errors import DeviceError, LimitError
 from fpplab.optimisation import cluster
-from fpplab.optimisation.candidate import Candidate, Fringes, Score
+from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateRunner
 from fpplab.optimisation.cluster import Meeting, SchedulingLimits
 from fpplab.optimisation.scheduling import (
@@ -29,10 +29,11 @@ from fpplab.optimisation.scheduling import (
 )
 from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.storage import Journal, ScoresOrReason
+from fpplab.patterns.fringe_sets import stepped_fringes
 from tests.support.searching import LIMITS, Formula, study
 
 TASKS: list[Task] = [
-    (Candidate((Fringes("x", 1.0, 3), Fringes("x", 4.0 + k, 3 + k)), 0.02), seed)
+    (Candidate((stepped_fringes("x", 1.0, 3), stepped_fringes("x", 4.0 + k, 3 + k)), 0.02), seed)
     for k in range(4)
     for seed in (1, 2)
 ]

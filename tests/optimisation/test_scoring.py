@@ -13,7 +13,7 @@ from fpplab.comparison import compare
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.optimisation.scoring import LIMITS, TrueShape
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.phase import Decoded
 from tests.comparison.test_comparison import CALIBRATION, PROJECTOR, H, W, perfect_cloud, placed

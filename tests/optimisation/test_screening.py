@@ -12,12 +12,13 @@ from fpplab.core import config
 from fpplab.core.errors import DataError
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Predictable
-from fpplab.optimisation.candidate import Candidate, Fringes
+from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.run import journal_paths, run_search
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.screening import SampledEvaluator, can_screen
 from fpplab.optimisation.study import Study
+from fpplab.patterns.fringe_sets import stepped_fringes
 from tests.support.searching import study
 
 RIG = "rig_demo_quick"
@@ -26,7 +27,7 @@ SETS = [
     {"axis": "y", "stripes": 64, "steps": 3},
 ]
 COARSE, FINE = (
-    Candidate((*(Fringes("x", s, 4) for s in (1, 6, finest)), Fringes("y", 64, 3)), 0.02)
+    Candidate((*(stepped_fringes("x", s, 4) for s in (1, 6, finest)), stepped_fringes("y", 64, 3)), 0.02)
     for finest in (24, 60)
 )
 
@@ -98,7 +99,8 @@ def test_nothing_lit_is_an_error_and_no_score(evaluator: SampledEvaluator) -> No
 @pytest.mark.whole
 def test_stripes_that_the_depth_range_does_not_unwrap_are_told(wanted: Study) -> None:
     start = wanted.start.model_copy(update={"depth_mm": (300.0, 700.0)})
-    unclear, deep = Candidate((Fringes("x", 30, 4), Fringes("x", 60, 4)), 0.02), {"start": start}
+    unclear = Candidate(tuple(stepped_fringes("x", stripes, 4) for stripes in (30, 60)), 0.02)
+    deep = {"start": start}
     words = []
     for kind in (SampledEvaluator, RigEvaluator):
         with closing(kind(RIG, wanted.model_copy(update=deep))) as opened, pytest.raises(DataError) as error:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fpplab.core import config, errors
 from fpplab.core.errors import ConfigError, DataError, LimitError
-from fpplab.optimisation.candidate import Candidate, Fringes, Score
+from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateRunner
 from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate
 from fpplab.optimisation.methods.gradient import Gradient
@@ -22,6 +22,7 @@ from fpplab.optimisation.scheduling import InProcessWorkers, measure_outcome
 from fpplab.optimisation.space import Parameter, SearchSpace
 from fpplab.optimisation.storage import Journal
 from fpplab.optimisation.study import Study
+from fpplab.patterns.fringe_sets import stepped_fringes
 from fpplab.patterns.plan import Plan
 from tests.support.searching import FRINGES, LIMITS, PLAIN, Formula, runner_of, search, study, with_stage
 
@@ -50,7 +51,7 @@ GRADIENT = {"kind": "gradient"}
 
 def test_plan_of_a_candidate_keeps_the_rest_of_the_template() -> None:
     like = Plan.load("plan_paper.yaml").model_copy(update={"settle_s": 0.1})
-    candidate = Candidate((Fringes("y", 1.0, 3), Fringes("y", 9.5, 4)), 0.04, stage_mm=-3.0)
+    candidate = Candidate((stepped_fringes("y", 1.0, 3), stepped_fringes("y", 9.5, 4)), 0.04, stage_mm=-3.0)
     plan = candidate.plan(like)
     assert [(f.axis, f.stripes, f.steps) for f in plan.fringes] == [("y", 1.0, 3), ("y", 9.5, 4)]
     assert (plan.exposure_s, plan.stage_mm, plan.settle_s) == (0.04, -3.0, 0.1)
@@ -88,7 +89,40 @@ def test_stage_parameter_is_rounded_to_its_grid(share: float) -> None:
 def test_start_point_stands_for_the_plan_of_the_start(tmp_path: Path) -> None:
     space = runner_of(tmp_path, **FRONT).space
     begin = space.candidate(space.start)
-    assert begin == Candidate(tuple(Fringes("x", float(s), 7) for s in (1, 8, 64)), 0.02, 0.0)
+    assert begin == Candidate(tuple(stepped_fringes("x", float(s), 7) for s in (1, 8, 64)), 0.02, 0.0)
+
+
+GRAY = {
+    "fringes": [
+        {"kind": "gray", "axis": "x", "bits": 6, "cell_px": 19.0},
+        {"axis": "x", "stripes": 48, "steps": 4},
+    ],
+    "ranges": [{"bits": [5, 7], "cell_px": [8, 38]}, {"steps": [3, 6]}],
+}
+
+
+def test_a_code_is_searched_beside_sinusoids(tmp_path: Path) -> None:
+    runner = runner_of(
+        tmp_path, space={"steps": [[3, 12], None, None], "alternatives": [GRAY]}, objectives=["images"]
+    )
+    space = runner.space
+    assert [p.name for p in space.parameters] == [
+        "steps[0]",
+        "alternative",
+        "alternatives[0].bits[0]",
+        "alternatives[0].cell_px[0]",
+        "alternatives[0].steps[1]",
+    ]
+    assert space.candidate(space.start).images == 36
+    coded = space.candidate((12, 1, 7, 9.5, 3))
+    assert coded.images == 10
+    code = coded.plan(space.problem.start).model_dump(mode="json", exclude_defaults=True)["fringes"][0]
+    assert code == {"kind": "gray", "axis": "x", "bits": 7, "cell_px": 9.5}
+    assert space.refusal(coded) is None
+    assert "cells of 9.5 px need at least 7" in str(space.refusal(space.candidate((12, 1, 6, 9.5, 3))))
+    journal = Journal(tmp_path / "study.jsonl", space.problem, {})
+    journal.add(coded, 1, "no light")
+    assert Journal(journal.path, space.problem, {}).get(coded, 1) == "no light"
 
 
 def test_plan_of_fewer_sets_has_the_base_and_the_last_sets(tmp_path: Path) -> None:
@@ -182,9 +216,13 @@ BAD_SPACES: dict[str, tuple[dict[str, Any], str]] = {
         {"start": {"fringes": FRINGES, "exposures_s": [0.01, 0.05]}, "space": {"exposure_s": [0.01, 0.1]}},
         "'space' searches exposure_s, and 'start' has 'exposures_s'",
     ),
-    "foreign fringes": (
-        {"start": {"fringes": [{**FRINGES[0], "shift_sign": -1}, FRINGES[2]]}},
-        "fringes of imported images",
+    "no number of the set": (
+        {"space": {"alternatives": [{**GRAY, "ranges": [{"inverses": [1, 2]}, None]}]}},
+        "'space.alternatives[0].inverses[0]' is no number of the set gray6; it has bits, cell_px, first_cell",
+    ),
+    "bound of a code": (
+        {"space": {"alternatives": [{**GRAY, "ranges": [{"bits": [6, 20]}, None]}]}},
+        "'space.alternatives[0].bits[0]'",
     ),
     "cannot be unwrapped": ({"start": {"fringes": FRINGES[1:]}}, "hierarchical unwrapping needs"),
 }
@@ -267,7 +305,7 @@ def test_figures_are_means_over_artefacts_and_seeds() -> None:
 
 def _trial(images: int, um: float, **others: Any) -> MeasuredCandidate:
     scores = _scores({("a", 1): um}, images=images, **others)
-    return MeasuredCandidate((images,), Candidate((Fringes("x", 1.0, images),), um), scores)
+    return MeasuredCandidate((images,), Candidate((stepped_fringes("x", 1.0, images),), um), scores)
 
 
 def _ranking(**changes: Any) -> CandidateRanking:

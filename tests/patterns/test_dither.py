@@ -6,8 +6,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.patterns.dither import diffuse
-from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringe_sets.gray import Gray
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording

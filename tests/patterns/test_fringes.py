@@ -14,7 +14,7 @@ from fpplab.core.errors import CapabilityError, ConfigError, DataError
 from fpplab.devices import CameraSettings, Frame
 from fpplab.devices.rig import Rig
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns, pattern_image, quantise, uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response

@@ -9,7 +9,7 @@ import pytest
 
 from fpplab.core import config
 from fpplab.core.errors import ConfigError
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.unwrapping import unwrapping_methods
 

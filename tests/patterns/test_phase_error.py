@@ -10,7 +10,7 @@ from scipy.special import gammaln
 
 from fpplab.core.conventions import TWO_PI, phase_steps
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.limits import PATTERN_LIMITS
 from fpplab.patterns.phase_error import (
     harmonics,

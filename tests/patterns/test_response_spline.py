@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fpplab.core.conventions import TWO_PI, Floats, Lattice, phase_steps
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.phase_error import judge_response, shown_phase_error
 from fpplab.patterns.plan import Plan

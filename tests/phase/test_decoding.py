@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from fpplab.core.conventions import Lattice, axis_length, mirror_centres
 from fpplab.core.errors import Cancelled, ConfigError, DataError
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import MaskRules, OrderVote, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode, wrapped_phase

@@ -5,7 +5,7 @@ import pytest
 
 from fpplab.core.conventions import phase_steps
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.phase_error import phase_error, relative_harmonics
 from fpplab.phase import error_model
 from fpplab.phase.common_errors import groups_of

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fpplab.core.conventions import Axis
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fpplab.core.conventions import Axis, Image, Lattice
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import MaskRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode, wrapped_phase

@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fpplab.core.errors import ConfigError
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import OrderVote, Plan
 from fpplab.phase.order_vote import vote_orders
 from fpplab.phase.reference import unwrap

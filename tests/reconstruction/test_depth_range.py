@@ -9,7 +9,7 @@ from fpplab.core.conventions import AXES
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode

@@ -11,7 +11,7 @@ from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats, Image, Mask, axis_length, phase_of_coordinate, phase_steps
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import Pinhole, RigidTransform
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import FilterRules, OrderVote, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode

@@ -14,7 +14,7 @@ from fpplab.diagnosis import Diagnosis, Finding, Verdict
 from fpplab.diagnosis.causes.flicker import FLICKER
 from fpplab.diagnosis.causes.wrong_plan import WRONG_PLAN
 from fpplab.diagnosis.record import load_diagnosis, save_diagnosis
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.report.cloud_view import CloudQuantity, cloud_view, decimate
 from fpplab.report.parts import ReportTable

@@ -23,7 +23,7 @@ from fpplab.core.errors import DataError
 from fpplab.core.progress import ignore
 from fpplab.core.session_names import FRAMES, JOURNAL
 from fpplab.devices import Frame
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.frame_files import tiff_head
 from fpplab.sessions.frame_writer import write_frames

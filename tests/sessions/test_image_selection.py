@@ -10,7 +10,7 @@ from PIL import Image as Pillow
 
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError, DataError, FppError
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.image_selection import ImageSelection as Chosen
 from fpplab.sessions.image_selection import numbers_of

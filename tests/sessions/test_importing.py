@@ -14,7 +14,7 @@ from PIL import Image as Pillow
 
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.image_selection import ImageSelection
 from fpplab.sessions.importing import import_images

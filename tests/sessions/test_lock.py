@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 from fpplab.core.errors import DataError
 from fpplab.devices import CameraSettings, Frame
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.session import Session

@@ -16,7 +16,7 @@ import tifffile
 
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.session_names import FRAMES, JOURNAL
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.session import Session, recorded_sessions
 from tests.support.recorded import PLAN, KillAtLine, frame, image_of, in_a_child, record

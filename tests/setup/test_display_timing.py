@@ -23,7 +23,7 @@ from fpplab.devices import (
     Trigger,
 )
 from fpplab.devices.rig import Rig, RigFile
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.plan import Plan
 from fpplab.setup import display_timing

@@ -12,7 +12,7 @@ from manifold3d import CrossSection, Manifold
 from fpplab.artefacts import save_stl
 from fpplab.core.conventions import TWO_PI, Floats, Image
 from fpplab.devices import CameraSettings
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.phase import wrapped_phase

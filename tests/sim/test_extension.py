@@ -23,7 +23,7 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError
 from fpplab.core.plugins import COMMANDS, plugin_names
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_poses

@@ -12,9 +12,9 @@ from fpplab.calibration.model import Calibration
 from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import StageCalibrations
-from fpplab.optimisation.candidate import Fringes
 from fpplab.optimisation.fringe_cache import FringeSetCache, MeasuringSetup
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets import PatternSet, stepped_fringes
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import SceneState
@@ -23,7 +23,7 @@ from tests.sim.conftest import RIG, plain, write_world
 
 LIKE = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=3),))
 CARD = MeasuringSetup("card", 0.02)
-BASE, MIDDLE, FINE = Fringes("x", 1.0, 12), Fringes("x", 7.3, 12), Fringes("x", 61.7, 12)
+BASE, MIDDLE, FINE = (stepped_fringes("x", stripes, 12) for stripes in (1.0, 7.3, 61.7))
 
 Sets = Callable[..., FringeSetCache]
 
@@ -46,13 +46,13 @@ def sets(rig: Rig) -> Sets:
 
 
 def stack(
-    sets: FringeSetCache, *fringes: Fringes, seed: int = 1, setup: MeasuringSetup = CARD
+    sets: FringeSetCache, *fringes: PatternSet, seed: int = 1, setup: MeasuringSetup = CARD
 ) -> NDArray[np.uint8]:
     return np.stack(sets.frames(setup, fringes, seed))
 
 
-def fewer(fringes: Fringes, steps: int) -> Fringes:
-    return Fringes(fringes.axis, fringes.stripes, steps)
+def fewer(fringes: PatternSet, steps: int) -> PatternSet:
+    return fringes.model_copy(update={"steps": steps})
 
 
 @pytest.mark.whole
@@ -79,7 +79,7 @@ def test_frames_do_not_depend_on_earlier_measurements(sets: Sets) -> None:
     one, other = sets(), sets()
     first = stack(one, BASE, MIDDLE, FINE)
     stack(other, fewer(BASE, 5), fewer(MIDDLE, 3), seed=4)
-    stack(other, BASE, Fringes("x", 7.4, 12), FINE)
+    stack(other, BASE, stepped_fringes("x", 7.4, 12), FINE)
     np.testing.assert_array_equal(first, stack(other, BASE, MIDDLE, FINE))
 
 
@@ -87,7 +87,7 @@ def test_frames_do_not_depend_on_earlier_measurements(sets: Sets) -> None:
 def test_changed_frequency_acquires_one_set_only(sets: Sets) -> None:
     store = sets()
     stack(store, BASE, MIDDLE, FINE)
-    stack(store, BASE, Fringes("x", 8.0, 12), FINE)
+    stack(store, BASE, stepped_fringes("x", 8.0, 12), FINE)
     assert store.acquired == 48
 
 
@@ -106,7 +106,7 @@ def test_noise_differs_between_seeds_positions_and_steps(sets: Sets) -> None:
 @pytest.mark.whole
 def test_similar_candidates_have_common_noise(sets: Sets) -> None:
     """So that the noise cancels in their difference."""
-    near = Fringes("x", 7.3001, 12)
+    near = stepped_fringes("x", 7.3001, 12)
     frames = [stack(sets(), BASE, one)[12:].astype(float) for one in (MIDDLE, near)]
     other = stack(sets(), BASE, near, seed=2)[12:].astype(float)
     assert np.std(frames[0] - frames[1]) < 0.5 * np.std(frames[0] - other)

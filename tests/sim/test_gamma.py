@@ -13,7 +13,7 @@ from fpplab.core import config
 from fpplab.core.conventions import TWO_PI, Floats, Mask
 from fpplab.devices.rig import Rig
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.phase_error import judge_response, phase_error, shown_phase_error
 from fpplab.patterns.plan import GreyLevels, Plan

@@ -14,7 +14,7 @@ from PIL import Image as Pillow
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import SceneState, build_scene

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Lattice
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.light.basis import smallest_basis

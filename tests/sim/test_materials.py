@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.tagged_union import registered_types
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.light import Light, SceneState, ShownPattern

@@ -14,10 +14,11 @@ from fpplab.comparison import compare
 from fpplab.core import config
 from fpplab.core.errors import CalibrationError, ConfigError, DataError
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.candidate import Candidate, Fringes, Score
+from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.study import Study
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets import stepped_fringes
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import reconstruct_points, take_or_resume_session
 from sim.items import item_poses
@@ -29,7 +30,7 @@ STAGE = 'stage: {backend: "sim.devices:SimStage"}\n'
 
 
 def candidate(*stripes: float, steps: int = 12, **where: Any) -> Candidate:
-    return Candidate(tuple(Fringes("x", float(s), steps) for s in stripes), START.exposure_s, **where)
+    return Candidate(tuple(stepped_fringes("x", float(s), steps) for s in stripes), START.exposure_s, **where)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import j1
 
 from fpplab.core.conventions import Floats
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.light import Light, SceneState, ShownPattern

@@ -9,7 +9,7 @@ import pytest
 
 from fpplab.characterisation import Characterisation, Observation, characterise, finest_periods, observe
 from fpplab.devices import CameraSettings
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording

@@ -12,7 +12,7 @@ import trimesh
 
 from fpplab.core.conventions import Axis, Floats, Lattice
 from fpplab.core.geometry import Pinhole
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import build_scene

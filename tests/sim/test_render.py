@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fpplab.core.conventions import Floats, Lattice, mirror_centres
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import build_scene

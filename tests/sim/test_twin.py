@@ -15,7 +15,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import SceneState

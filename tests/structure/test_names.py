@@ -5,6 +5,9 @@ import re
 from collections import defaultdict
 from pathlib import Path
 
+from fpplab.core.tagged_union import registered_types
+from fpplab.patterns.fringe_sets import PatternSet
+
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("fpplab", "drivers", "sim", "benchmarks")
 PLUG_INS = {"main": "", "run": "benchmarks/"}
@@ -46,3 +49,20 @@ def test_what_counts_as_a_public_name() -> None:
         "from a import B\nLens = float\nLENS = 1\nlens = 2\nT = TypeVar('T')\ndef f(): ...\ndef _g(): ...\n"
     )
     assert public_names(ast.parse(source + "class C:\n    def m(self): ...\n")) == {"Lens", "f", "C"}
+
+
+def test_no_module_outside_their_package_names_a_kind_of_pattern_sets() -> None:
+    """Adding a kind is one file."""
+    kinds = registered_types(PatternSet).values()
+    names = {kind.__name__ for kind in kinds} | {kind.__module__.rpartition(".")[2] for kind in kinds}
+    naming = [
+        f"{path.relative_to(ROOT)}: {alias.name}"
+        for package in ("fpplab", "drivers", "sim")
+        for path in sorted((ROOT / package).rglob("*.py"))
+        if "fringe_sets" not in path.parts
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fpplab.patterns.fringe_sets")
+        for alias in node.names
+        if alias.name in names or (node.module or "").rpartition(".")[2] in names
+    ]
+    assert not naming, naming

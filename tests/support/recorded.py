@@ -11,7 +11,7 @@ import numpy as np
 
 from fpplab.core.conventions import Image
 from fpplab.devices import CameraSettings, Frame
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.session import Session
 

@@ -11,7 +11,7 @@ import pytest
 from fpplab.calibration.model import Calibration, CalibrationOrigin
 from fpplab.core.errors import CalibrationError
 from fpplab.devices import CameraSettings, Frame
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline.geometry import why_unverified
 from fpplab.sessions.origin import calibration_origin, check_stage, with_confirmation

@@ -33,7 +33,7 @@ from fpplab.diagnosis.plan.edits import (
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 from fpplab.diagnosis.plan.sample import PhaseSample, gradient_directions
 from fpplab.diagnosis.points import expected_change
-from fpplab.patterns.fringe_sets import Sinusoid, indices_along
+from fpplab.patterns.fringe_sets import SteppedFringes, indices_along
 from fpplab.patterns.plan import MaskRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import unwrapping_methods
@@ -145,7 +145,7 @@ def check_plan_fit(
     recording: Recording, limits: DiagnosisLimits = USUAL_LIMITS, calibration: Calibration | None = None
 ) -> PlanCheck | None:
     """Ask the images of a recording whether their plan describes them."""
-    sets = tuple(s for s in recording.plan.sets if isinstance(s, Sinusoid))
+    sets = tuple(s for s in recording.plan.sets if isinstance(s, SteppedFringes))
     if len(sets) < len(recording.plan.sets):
         return None
     check_limits = limits.of(PlanCheckLimits)

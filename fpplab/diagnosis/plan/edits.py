@@ -8,10 +8,10 @@ import numpy as np
 
 from fpplab.core.conventions import AXES, TWO_PI, Axis, Floats
 from fpplab.diagnosis.plan.sample import Direction, PhaseSample, gradient_directions, wrapped
-from fpplab.patterns.fringe_sets import Sinusoid, indices_along
+from fpplab.patterns.fringe_sets import SteppedFringes, indices_along
 from fpplab.patterns.plan import Plan
 
-Sets = tuple[Sinusoid, ...]
+Sets = tuple[SteppedFringes, ...]
 LOOK_AT_IMAGES = (
     "see whether the images show the scene mirrored or turned, and then save them as the camera gives them; "
     "otherwise the steps of these sets run the other way"
@@ -188,7 +188,11 @@ def _stripes_near(
 
 
 def refined_stripes(
-    sets: Sequence[Sinusoid], along: Sequence[int], k: int, approximate_stripes: float, sample: PhaseSample
+    sets: Sequence[SteppedFringes],
+    along: Sequence[int],
+    k: int,
+    approximate_stripes: float,
+    sample: PhaseSample,
 ) -> float:
     others = [j for j in along if j != k and sets[j].stripes < approximate_stripes]
     position = unwrap_finest(sets, others, sample) / sets[max(others, key=lambda j: sets[j].stripes)].stripes
@@ -255,7 +259,7 @@ def with_origins(sets: Sets, sample: PhaseSample) -> Sets:
     return tuple(edited)
 
 
-def phases_of(sets: Sequence[Sinusoid], sample: PhaseSample) -> Floats:
+def phases_of(sets: Sequence[SteppedFringes], sample: PhaseSample) -> Floats:
     """Give the phases that a plan's sets have in the images."""
     # returns (S, P)
     return np.stack(
@@ -263,7 +267,7 @@ def phases_of(sets: Sequence[Sinusoid], sample: PhaseSample) -> Floats:
     )
 
 
-def unwrap_finest(sets: Sequence[Sinusoid], along: Sequence[int], sample: PhaseSample) -> Floats:
+def unwrap_finest(sets: Sequence[SteppedFringes], along: Sequence[int], sample: PhaseSample) -> Floats:
     # returns (P,) rad
     ranked = sorted(along, key=lambda k: sets[k].stripes)
     phases = phases_of(sets, sample)
@@ -308,12 +312,12 @@ def is_mirrored(sets: Sets, sample: PhaseSample) -> bool:
     return bool(np.median(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]) < 0)
 
 
-def _moved(fringe: Sinusoid, by: float) -> Sinusoid:
+def _moved(fringe: SteppedFringes, by: float) -> SteppedFringes:
     origin = float(wrapped(np.asarray(fringe.phase_origin_rad + by)))
     return fringe.model_copy(update={"phase_origin_rad": origin})
 
 
-def _turned(fringe: Sinusoid) -> Sinusoid:
+def _turned(fringe: SteppedFringes) -> SteppedFringes:
     return fringe.model_copy(update={"shift_sign": -fringe.shift_sign})
 
 

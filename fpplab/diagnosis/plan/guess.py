@@ -17,7 +17,7 @@ from fpplab.diagnosis.plan.edits import Sets, refined_stripes, upright_edit, wit
 from fpplab.diagnosis.plan.limits import GUESS_LIMITS, GuessLimits
 from fpplab.diagnosis.plan.other_patterns import name_other_patterns, sampled_levels
 from fpplab.diagnosis.plan.sample import MIN_STEPS, PhaseSample, gradient_directions
-from fpplab.patterns.fringe_sets import Sinusoid, indices_along
+from fpplab.patterns.fringe_sets import indices_along, stepped_fringes
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping.heterodyne import Heterodyne
@@ -151,7 +151,7 @@ def _axes_and_signs(images: list[int], sample: PhaseSample, size: tuple[int, int
     observed = gradient_directions(sample, reference)
     axis, other = AXES if observed[reference].level else AXES[::-1]
     sets = tuple(
-        Sinusoid(axis=axis if each.parallel else other, stripes=each.speed, steps=n, projector_size=size)
+        stepped_fringes(axis if each.parallel else other, each.speed, n, projector_size=size)
         for each, n in zip(observed, images, strict=True)
     )
     edit = upright_edit(sets, observed)

@@ -17,7 +17,7 @@ from fpplab.diagnosis.plan.edits import Edit, Sets, other_steps
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 from fpplab.diagnosis.plan.placement import PlacedSample, Placement, Turn
 from fpplab.diagnosis.plan.sample import PhaseSample
-from fpplab.patterns.fringe_sets import Sinusoid, indices_along
+from fpplab.patterns.fringe_sets import SteppedFringes, indices_along
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 
@@ -189,7 +189,7 @@ def steps_on_epipolar_lines(
 
 def _prepared(recording: Recording, limits: PlanCheckLimits) -> tuple[Sets, Recording, PhaseSample] | None:
     """Sets and some pixels of a plan of sinusoids; None of others, and where few pixels are lit."""
-    sets = tuple(s for s in recording.plan.sets if isinstance(s, Sinusoid))
+    sets = tuple(s for s in recording.plan.sets if isinstance(s, SteppedFringes))
     if len(sets) < len(recording.plan.sets):
         return None
     sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale, limits)

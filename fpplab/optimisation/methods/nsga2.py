@@ -14,6 +14,7 @@ from fpplab.optimisation.candidate_runner import CandidateRunner
 from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.methods.coordinate import Coordinate, coordinate_search
 from fpplab.optimisation.search_method import SearchMethod
+from fpplab.phase.coded_axes import axes_by_codes, coded_coordinate
 from fpplab.phase.order_risk import wrong_order_chance
 from fpplab.phase.precision import coordinate_spread
 
@@ -97,18 +98,19 @@ def _refine_front(runner: CandidateRunner) -> None:
 def _step_neighbours(runner: CandidateRunner, point: Point) -> Iterator[Point]:
     for i, parameter in enumerate(runner.space.parameters):
         for value in (point[i] - 1, point[i] + 1):
-            if parameter.name.startswith("steps") and parameter.contains(value):
+            if parameter.field == "steps" and parameter.contains(value):
                 yield (*point[:i], value, *point[i + 1 :])
 
 
 def _search_for_seed_points(runner: CandidateRunner, count: int) -> list[Point]:
     space = runner.space
+    others = [space.with_alternative(k) for k in range(1, len(space.arrangements))]
     phases, stripes, geometry = (space.of_group(group) for group in ("steps", "stripes", "geometry"))
     if space.of_group("light"):  # at the start's exposure, plans of many images grow far from the front
-        return [runner.start.point, *_points_by_the_bound(runner, count - 1)]
+        return [runner.start.point, *others, *_points_by_the_bound(runner, count - 1 - len(others))]
     grown = _grow_phase_plan(runner, runner.start.point, phases)
     begin = runner.start if space.refusal(runner.start.candidate) is None or not grown else grown[-1]
-    best, singles = begin.point, [runner.start.point, *(trial.point for trial in grown)]
+    best, singles = begin.point, [runner.start.point, *others, *(trial.point for trial in grown)]
     for places in (stripes, geometry):
         if places:
             coordinate_search(runner, SINGLE_SEARCH, begin, places, runner.ranking.rank_by_distance)
@@ -126,7 +128,7 @@ def _search_for_seed_points(runner: CandidateRunner, count: int) -> list[Point]:
 def _points_by_the_bound(runner: CandidateRunner, count: int) -> list[Point]:
     """Points that have the lowest bound of noise for their seconds, up to those of the start."""
     space, random = runner.space, np.random.default_rng(runner.space.problem.seeds[0])
-    drawn = space.of_group("steps", "stripes", "light")
+    drawn = space.of_group("steps", "stripes", "codes", "light")
     rated: list[tuple[float, float, Point]] = []
     for _ in range(BOUND.drawn):
         share = random.random(len(space.parameters))
@@ -151,13 +153,19 @@ def _points_by_the_bound(runner: CandidateRunner, count: int) -> list[Point]:
 def _noise_bound(runner: CandidateRunner, candidate: Candidate) -> float:
     """Bound of the noise of photons and of patterns' rounding in px; infinite where it makes orders fail."""
     problem, size = runner.space.problem, runner.space.limits.size
-    plan, axis = candidate.plan(problem.start), candidate.fringes[0].axis
+    plan = candidate.plan(problem.start)
+    axis = candidate.fringes[0].coded_axis or plan.axes[0]
     photons = BOUND.noise**2 * problem.start.exposure_s / candidate.exposure_s
     noise = float(np.sqrt(photons + (2.0 / (2**candidate.pattern_bits - 1)) ** 2 / 12.0))
-    with suppress(ConfigError):  # orders that a calibration tells
-        if wrong_order_chance(plan, axis, np.array(noise)) > BOUND.wrong_order_chance:
+    if axis in axes_by_codes(plan, size):
+        spread, chance = coded_coordinate(plan, axis, size, noise)
+        return spread if chance <= BOUND.wrong_order_chance else np.inf
+    fringes = plan.fringe_part
+    assert fringes is not None, "an axis is coded by fringes or by codes"
+    with suppress(ConfigError):  # orders that a calibration tells, or a code
+        if plan is fringes and wrong_order_chance(plan, axis, np.array(noise)) > BOUND.wrong_order_chance:
             return np.inf
-    return noise * coordinate_spread(plan, axis, size)
+    return noise * coordinate_spread(fringes, axis, size)
 
 
 def _differs_only_in(

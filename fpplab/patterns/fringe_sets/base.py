@@ -11,11 +11,12 @@ docstrings). Plans, decoding and the proof of synchronisation take it through th
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from fpplab.core.config import Document
 from fpplab.core.conventions import (
@@ -26,6 +27,7 @@ from fpplab.core.conventions import (
     axis_length,
     mirror_centres,
     phase_of_coordinate,
+    phase_steps,
 )
 
 MAX_PATTERN_BITS = 8
@@ -34,6 +36,7 @@ MAX_PATTERN_BITS = 8
 PatternBits = Annotated[int, Field(ge=1, le=MAX_PATTERN_BITS)]
 Width = Annotated[int, Field(gt=1)]
 ExposureTime = Annotated[float, Field(gt=0, le=60)]  # in s
+LedName = Literal["red", "green", "blue"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +88,38 @@ class PatternSet(Document):
     the error. One bit is enough for codes of black and white.
     """
 
+    @model_serializer(mode="wrap")
+    def _with_kind(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Name the kind, which is a default, in files that leave defaults out."""
+        field = type(self).model_fields["kind"]
+        return handler(self) if field.exclude else {"kind": field.default, **handler(self)}
+
+    @classmethod
+    def completed(cls, entry: dict[str, Any], folder: Path) -> dict[str, Any]:
+        """Put what files in a folder hold into an entry of a plan file that names them.
+
+        Parameters
+        ----------
+        entry : dict
+            As it stands in the plan file.
+        folder : Path
+            Of the plan file.
+
+        Returns
+        -------
+        dict
+            By default the entry.
+        """
+        return entry
+
     @property
     def coded_axis(self) -> Axis | None:
         """The projector axis along which the light changes; None where it is even."""
+        return None
+
+    @property
+    def one_led(self) -> LedName | None:
+        """The one LED that lights the images; None for all that are on."""
         return None
 
     @property
@@ -307,6 +339,29 @@ class FringeSet(PeriodicSet):
         Demodulation
             Weights of the N images.
         """
+
+
+class SteppedFringes(FringeSet):
+    """Images shifted by equal steps, also those of other programs."""
+
+    steps: Annotated[int, Field(ge=3, le=1000)]
+    """Images N, shifted by 2π/N each."""
+
+    shift_sign: Literal[1, -1] = 1
+    """-1 where the images were shifted the other way."""
+
+    phase_origin_rad: float = 0.0
+    """Phase in rad that the fringes have where `2π stripes (u + 0.5)/W` is zero."""
+
+    @property
+    def images(self) -> int:
+        """How many images the set has."""
+        return self.steps
+
+    def phase_shifts(self) -> Floats:
+        """Give `δ_n = 2π n/N`, by the sign of the set."""
+        # returns (N,)
+        return self.shift_sign * phase_steps(self.steps)
 
 
 def indices_along(sets: Sequence[FringeSet], axis: Axis) -> tuple[int, ...]:

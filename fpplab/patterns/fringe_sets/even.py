@@ -6,9 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from fpplab.core.conventions import Floats
-from fpplab.patterns.fringe_sets.base import PatternSet
-
-LedName = Literal["red", "green", "blue"]
+from fpplab.patterns.fringe_sets.base import LedName, PatternSet
 
 
 class Even(PatternSet):
@@ -27,6 +25,11 @@ class Even(PatternSet):
     def images(self) -> int:
         """How many images the set has."""
         return len(self.levels)
+
+    @property
+    def one_led(self) -> LedName | None:
+        """The LED that is named."""
+        return self.led
 
     def light(self, step: int, coordinate: Floats, length: int) -> Floats:
         """Give the level of the image everywhere."""

@@ -115,17 +115,3 @@ def _unpacked(text: str) -> NDArray[np.uint8]:
     except (binascii.Error, zlib.error, ValueError):
         raise ValueError("is not what loading a plan writes") from None
     return np.frombuffer(content, np.uint8)
-
-
-def with_pattern_files(data: Any, source: Path) -> Any:
-    """Put the levels of pattern files into the raw data of a plan file."""
-    sets = data.get("fringes") if isinstance(data, dict) else None
-    if not isinstance(sets, list):
-        return data
-    completed = [
-        PatternFiles.completed(each, source.parent)
-        if isinstance(each, dict) and each.get("kind") == "files"
-        else each
-        for each in sets
-    ]
-    return {**data, "fringes": completed}

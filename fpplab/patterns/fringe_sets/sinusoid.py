@@ -6,10 +6,10 @@ import numpy as np
 from pydantic import Field
 
 from fpplab.core.conventions import Floats, phase_steps
-from fpplab.patterns.fringe_sets.base import Demodulation, FringeSet
+from fpplab.patterns.fringe_sets.base import Demodulation, SteppedFringes
 
 
-class Sinusoid(FringeSet):
+class Sinusoid(SteppedFringes):
     """N images of a sinusoid, each shifted by 2π/N: the equation is in `fpplab.core.conventions`.
 
     Fringes made elsewhere are described too: image n is
@@ -18,25 +18,6 @@ class Sinusoid(FringeSet):
 
     kind: Annotated[Literal["sinusoid"], Field(exclude=True)] = "sinusoid"
     """`sinusoid`; may be left out."""
-
-    steps: Annotated[int, Field(ge=3, le=1000)]
-    """Images N, shifted by 2π/N each."""
-
-    shift_sign: Literal[1, -1] = 1
-    """-1 where the images were shifted the other way."""
-
-    phase_origin_rad: float = 0.0
-    """Phase in rad that the fringes have where `2π stripes (u + 0.5)/W` is zero."""
-
-    @property
-    def images(self) -> int:
-        """How many images the set has."""
-        return self.steps
-
-    def phase_shifts(self) -> Floats:
-        """Give `δ_n = 2π n/N`, by the sign of the set."""
-        # returns (N,)
-        return self.shift_sign * phase_steps(self.steps)
 
     def wave(self, phase: Floats, step: int) -> Floats:
         """Give `0.5 + 0.5 cos(Φ + origin - δ_n)`, which neither clips nor wastes range."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Lattice, axis_length
 from fpplab.core.errors import CapabilityError
 from fpplab.devices import Projector, ProjectorCaps
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets import stepped_fringes
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 
@@ -66,7 +66,7 @@ def _as_fine_fringes(plan: Plan, size: tuple[int, int]) -> Plan:
     axis = plan.axes[0]
     length = axis_length(size, axis)
     finest = max(each.finest_stripes(length) for each in plan.sets if each.coded_axis == axis)
-    pair = tuple(Sinusoid(axis=axis, stripes=stripes, steps=4) for stripes in (1.0, finest))
+    pair = tuple(stepped_fringes(axis, stripes, 4) for stripes in (1.0, finest))
     return plan.model_copy(update={"fringes": pair})
 
 
@@ -85,7 +85,7 @@ def _short_plan(plan: Plan) -> Plan:
         stripes = max(finest.stripes / 16.0, 1.0)
     # Four steps are the fewest that also show the noise.
     pair = (
-        Sinusoid(axis=finest.axis, stripes=count, steps=4, projector_size=finest.projector_size)
+        stepped_fringes(finest.axis, count, 4, projector_size=finest.projector_size)
         for count in (stripes, finest.stripes)
     )
     return plan.model_copy(update={"fringes": tuple(pair)})

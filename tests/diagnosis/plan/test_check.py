@@ -10,7 +10,8 @@ import pytest
 
 from fpplab.core.conventions import Axis
 from fpplab.diagnosis.plan import check_plan_fit
-from fpplab.patterns.fringe_sets import FringeSet, Sinusoid
+from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from tests.diagnosis.scenes import PROJECTOR, Bench, plan_of

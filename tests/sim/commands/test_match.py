@@ -9,7 +9,7 @@ import pytest
 
 from fpplab.core import config
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_poses
 from tests.support.commands import NO_DISPLAY, Command

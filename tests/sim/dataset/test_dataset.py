@@ -23,7 +23,7 @@ from fpplab.core.conventions import TWO_PI
 from fpplab.core.errors import ConfigError, DataError, DeviceError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.reconstruction.points import triangulate

@@ -18,7 +18,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
 from fpplab.diagnosis.causes.of_matching_and_search import UNLIKE_IMAGES
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response, fit_response
 from sim.effects.vibration import with_vibration_of

@@ -10,7 +10,7 @@ import pytest
 from fpplab.diagnosis import Finding, Verdict
 from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
 from fpplab.diagnosis.causes.projector_drift import PROJECTOR_DRIFT
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import characterise_sessions
 from fpplab.sessions.session import Session

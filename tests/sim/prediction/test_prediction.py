@@ -11,7 +11,7 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Predictable
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.patterns.recording import Recording

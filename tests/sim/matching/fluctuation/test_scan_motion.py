@@ -10,7 +10,7 @@ import trimesh
 
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.geometry import RigidTransform
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from sim.matching.fluctuation.scan_motion import motion_of_scan

@@ -11,7 +11,7 @@ import pytest
 from fpplab.core import config
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Predictable
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_or_resume_session
 from sim.bench import VirtualBench

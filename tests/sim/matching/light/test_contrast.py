@@ -11,7 +11,7 @@ import pytest
 
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.geometry import RigidTransform
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from sim.matching.light.contrast import ContrastSample, board_contrasts, sample_contrasts, with_common_error

@@ -14,7 +14,7 @@ from fpplab.characterisation import Characterisation
 from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_poses
 from fpplab.sessions.session import recorded_sessions
