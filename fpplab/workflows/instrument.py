@@ -154,14 +154,14 @@ class Instrument:
         )
         return self.run(request, observer or Observer())
 
-    def run_order(self, order: ScanOrder, out: Path, observer: Observer) -> ScanResult:
+    def run_order(self, order: ScanOrder, out: Path | str, observer: Observer) -> ScanResult:
         """Measure what a client of a service orders; see `scan`.
 
         Parameters
         ----------
         order : ScanOrder
             What is ordered.
-        out : Path
+        out : path or str
             Folder of the session.
         observer : Observer
             Told of each stage.
@@ -174,7 +174,7 @@ class Instrument:
         from fpplab.workflows.scan import request_of_order
 
         calibration = Path(order.calibration) if order.calibration else self._calibration
-        request = request_of_order(order, self._rig, out, calibration, self.calibration_of)
+        request = request_of_order(order, self._rig, Path(out), calibration, self.calibration_of)
         return self.run(request, observer)
 
     def run(self, request: ScanRequest, observer: Observer) -> ScanResult:
@@ -202,12 +202,12 @@ class Instrument:
             self._rig.simulation.restart()
         return scan_on_open_rig(replace(request, rig=self._rig), observer)
 
-    def calibration_of(self, file: Path) -> Calibration:
+    def calibration_of(self, file: Path | str) -> Calibration:
         """Load a calibration, which is kept as long as its file stays as it is.
 
         Parameters
         ----------
-        file : Path
+        file : path or str
             Written by `fpplab characterise`.
 
         Returns
@@ -217,7 +217,7 @@ class Instrument:
         """
         from fpplab.core.config import read_text
 
-        return _calibration(file, read_text(file))
+        return _calibration(Path(file), read_text(Path(file)))
 
     def next_session(self) -> Path:
         """Name the next session of the instrument's folder.

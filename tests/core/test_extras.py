@@ -19,6 +19,8 @@ PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text
 MODULES = {
     "bpy": "bpy",
     "distributed": "distributed",
+    "fastapi": "fastapi",
+    "fastapi-offline": "fastapi_offline",
     "genicam": "genicam",
     "harvesters": "harvesters",
     "hidapi": "hid",
@@ -34,6 +36,7 @@ MODULES = {
     "pyusb": "usb",
     "rerun-sdk": "rerun",
     "scikit-image": "skimage",
+    "uvicorn": "uvicorn",
 }
 """What each package of an extra is imported as."""
 
