@@ -43,11 +43,11 @@ from sim.texture import MirrorTexture
 from sim.worker import Blender
 from sim.world import World
 
-BATCH_PATTERNS, BATCH_BYTES = 40, 1 << 28
-"""Patterns that are looked up at once, and the greatest size of their pictures."""
-TABLE_BYTES, CACHE_BYTES = 3 << 27, 1 << 27
+BATCH_PATTERNS = 40  # patterns that are looked up at once, at most (chosen)
+TABLE_BYTES, CACHE_BYTES = 3 << 27, 1 << 28
 """Size of the tables that are kept: of six poses at 1368 x 912, whose images a matching compares again and
 again. Derivatives and pictures are of use for a pose at a time."""
+SETUPS_OF_A_FRAME = 4  # whose pictures make that of a displaced item, see `sim.fluctuation`
 START_S, PATHS_PER_S = 60.0, 5e4
 """Time limit of a render: a fixed part, and the light paths that any computer traces in a second."""
 
@@ -249,7 +249,9 @@ class Light:
         """Look up one picture, and several states at once, because their samples lie at the same places."""
         # subtracted: its combinations are taken off, so that only the quantisation residual is looked up.
         width, height = self._world.camera.size
-        max_batch = max(1, min(BATCH_PATTERNS, BATCH_BYTES // (4 * width * height)))
+        # Pictures of all set-ups of a frame are kept, or each would be looked up again for the next frame.
+        picture_bytes = 4 * width * height
+        max_batch = max(1, min(BATCH_PATTERNS, CACHE_BYTES // (SETUPS_OF_A_FRAME * picture_bytes)))
         if any(setup.vibration_mm):
             max_batch = 1  # the next frame has another displacement
         batch = math.ceil(levels.count / math.ceil(levels.count / max_batch))

@@ -339,6 +339,26 @@ def test_a_body_is_scanned_in_the_given_pose(blender: Blender) -> None:
     assert twin.mesh("pillars").is_watertight
 
 
+def test_pictures_of_a_displaced_body_are_looked_up_once(
+    blender: Blender, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the pictures of a whole plan are more than are kept."""
+    twin = Twin.of(config.validate(plain(vibration_mm=0.02, render=EXACT), World, "test"), "board", blender)
+    patterns, (width, height) = _patterns(twin), twin.world.camera.size
+    monkeypatch.setattr("sim.light.light.CACHE_BYTES", 4 * 2 * 4 * width * height)
+    looked_up: list[object] = []
+    look_up = Light._look_up
+
+    def counted(self: Light, setup: SceneState, levels: Any, states: range, basis: Any) -> Any:
+        looked_up.extend((setup.held, n) for n in states)
+        return look_up(self, setup, levels, states, basis)
+
+    monkeypatch.setattr(Light, "_look_up", counted)
+    pose = RigidTransform.from_vectors(np.array([np.pi, 0.0, 0.02]), np.array([3.0, -2.0, 455.0]))
+    twin.scan("pillars", pose, patterns, SETTINGS)
+    assert len(looked_up) == len(set(looked_up)) == 4 * len(patterns)
+
+
 WRONG: list[tuple[Callable[[TwinParameters], TwinParameters], str]] = [
     (lambda p: replace(p, paper=1.2), r"the twin's parameters: 'items\.board\.reflectance' is 1\.2"),
     (lambda p: replace(p, projector_blur=0.1), "'blur' is 0.1: must be 0"),
