@@ -201,7 +201,8 @@ class FrameSample:
             others &= ~points.valid[:: self.step, :: self.step]
             return int(points.valid.sum()) + float(others.mean()) * self.recording.frames[0].size
         if points.pixels is not None:
-            u, v = points.pixels[(points.pixels % self.step == 0).all(axis=1)].T // self.step
+            sampled = points.pixels[points.pixels[:, 0] % self.step == 0]  # few are left for the other axis
+            u, v = sampled[sampled[:, 1] % self.step == 0].T // self.step
             others[v, u] = False
         return len(points) + float(others.mean()) * self.recording.frames[0].size
 

@@ -28,11 +28,10 @@ def uncertain_orders(decoded: Decoded, plan: Plan) -> dict[str, int] | None:
     if decoded.uncertain_order is None:
         return None
     sets = (plan.fringe_part or plan).sets
-    counts = np.bincount(decoded.uncertain_order.ravel(), minlength=len(sets) + 1)[1:]
     causes: dict[str, int] = {}
-    for each, count in zip(sets, counts, strict=True):
-        if count:
+    for number, each in enumerate(sets, 1):
+        if count := np.count_nonzero(decoded.uncertain_order == number):
             unit = " stripes" if isinstance(each, FringeSet) else ""
             name = f"{each.coded_axis} {each.short_name}{unit}"
-            causes[name] = causes.get(name, 0) + int(count)
+            causes[name] = causes.get(name, 0) + count
     return causes
