@@ -51,10 +51,10 @@ def acquire(
         if missing:
             over = exposed if last in missing.values() else ignore
             _take_pass(rig, plan, session, missing, exposure_s, observe, over)
-    if not all_missing:
-        exposed()
     if all_missing:
         _prove(rig, session)
+    else:
+        exposed()
 
 
 def _take_pass(
