@@ -12,8 +12,7 @@ from urllib.parse import urlencode, urlsplit
 from fpplab.core.errors import ConfigError, DeviceError, FppError
 from fpplab.core.strict_json import parse_object
 from fpplab.service.limits import LIMITS
-
-ENDED = ("finished", "failed", "cancelled", "interrupted")
+from fpplab.service.state import ScanState
 
 
 class ServiceError(FppError):
@@ -152,9 +151,10 @@ class ServiceClient:
         while True:
             left_s = LIMITS.max_wait_s if end_s is None else max(0.0, end_s - time.monotonic())
             status = self.show(scan, until=until, wait_s=min(left_s, LIMITS.max_wait_s))
-            if status["state"] in ENDED[1:]:
+            state = ScanState(status["state"])
+            if state.has_ended and state is not ScanState.FINISHED:
                 raise self.fault_of(status)
-            if _is_so_far(status["state"], until):
+            if state.reaches(ScanState(until)):
                 return status
             if end_s is not None and time.monotonic() >= end_s:
                 raise DeviceError(f"scan {scan}", "wait", f"is not {until} within {timeout_s:g} s")
@@ -218,7 +218,7 @@ class ServiceClient:
         bool
             Whether it is finished, failed, cancelled or interrupted.
         """
-        return scan["state"] in ENDED
+        return ScanState(scan["state"]).has_ended
 
     @staticmethod
     def fault_of(scan: dict[str, Any]) -> ServiceError:
@@ -267,8 +267,3 @@ class ServiceClient:
                 fault = {"error": f"{self.url}: answers {answer.status} {answer.reason}"}
             raise ServiceError(fault)
         return content
-
-
-def _is_so_far(state: str, until: str) -> bool:
-    states = ("queued", "running", "exposed", "judged", "finished")
-    return state == until or (until in states and states.index(state) >= states.index(until))

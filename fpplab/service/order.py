@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +10,7 @@ from pydantic import Field
 from fpplab.core.config import Document
 from fpplab.core.confirmation import ConfirmationRequired
 from fpplab.core.errors import ConfigError
+from fpplab.service.state import ScanState
 
 
 class ScanOrder(Document):
@@ -53,23 +53,6 @@ class ScanOrder(Document):
                     f"order: '{name}' is '{value}': from another computer it is a name in the service's "
                     "folder, without / and \\"
                 )
-
-
-class ScanState(StrEnum):
-    """How far a scan is; each of the first five follows the one before it."""
-
-    QUEUED = "queued"
-    RUNNING = "running"
-    EXPOSED = "exposed"  # the last exposure is over
-    JUDGED = "judged"  # points and verdict are known
-    FINISHED = "finished"
-    FAILED = "failed"
-    CANCELLED = "cancelled"
-    INTERRUPTED = "interrupted"  # the service ended; the same order completes it
-
-    @property
-    def has_ended(self) -> bool:
-        return self in (self.FINISHED, self.FAILED, self.CANCELLED, self.INTERRUPTED)
 
 
 class ScanStatus(Document):

@@ -24,7 +24,8 @@ from fpplab.core.session_names import JOURNAL, REPORT
 from fpplab.core.strict_json import json_value, parse_object
 from fpplab.results.observer import Observer
 from fpplab.service.limits import LIMITS
-from fpplab.service.order import ScanOrder, ScanState, ScanStatus
+from fpplab.service.order import ScanOrder, ScanStatus
+from fpplab.service.state import ScanState
 
 if TYPE_CHECKING:
     from fpplab.results.scan import ScanResult

@@ -24,14 +24,14 @@ from fpplab.core.strict_json import parse_object
 from fpplab.core.version import __version__
 from fpplab.optimisation.cluster import is_this_computer
 from fpplab.service.limits import LIMITS
-from fpplab.service.order import ScanOrder, ScanState, ScanStatus
+from fpplab.service.order import ScanOrder, ScanStatus
+from fpplab.service.state import FOLLOWING, ScanState
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
     from fpplab.service.queue import ScanQueue
 
-ORDER = list(ScanState)[:5]
 FILES = {"cloud": (CLOUD, "application/octet-stream"), "report": (REPORT, "text/html")}
 TOO_LARGE = f"an order has {LIMITS.max_body_bytes} bytes at most"
 CLOSING = {"connection": "close"}  # or what is left of the body would be read
@@ -153,7 +153,7 @@ def make_app(queue: ScanQueue, access: Access, rig: dict[str, str]) -> tuple[ASG
         redoc_url=None,
         title="fpplab",
         version=__version__,
-        description=f"Scans of {rig['name']}. States follow each other: {', '.join(ORDER)}; or a scan "
+        description=f"Scans of {rig['name']}. States follow each other: {', '.join(FOLLOWING)}; or a scan "
         "ends as failed, cancelled or interrupted.",
         dependencies=[Depends(HTTPBearer(auto_error=False))],
     )
@@ -198,8 +198,7 @@ def _add_scans(app: FastAPI, queue: ScanQueue, changes: Changes) -> None:
         """Answer at once, or wait until the scan is so far, or is at another version than `after`."""
 
         def is_awaited(status: ScanStatus) -> bool:
-            at = ORDER.index(status.state) if status.state in ORDER else len(ORDER)
-            is_far = until is not None and at >= (ORDER.index(until) if until in ORDER else len(ORDER))
+            is_far = until is not None and status.state.reaches(until)
             return is_far or (after is not None and status.version != after)
 
         return _known(await changes.wait(number, is_awaited, wait_s))

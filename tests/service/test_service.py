@@ -17,8 +17,9 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.devices.rig_lock import announced_service
 from fpplab.service.client import ServiceClient, ServiceError
 from fpplab.service.limits import LIMITS
-from fpplab.service.order import ScanOrder, ScanState
+from fpplab.service.order import ScanOrder
 from fpplab.service.serving import ServiceAddress, make_token
+from fpplab.service.state import ScanState
 from tests.service.stubs import TOKEN, Bench, Orders, served
 from tests.support.certificates import make_certificate
 
