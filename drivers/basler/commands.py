@@ -24,18 +24,18 @@ camera = typer.Typer(
 NAME = "camera"
 
 CameraSerialOption = Annotated[
-    str | None, typer.Option("--serial", help="Serial number, where several cameras are connected.")
+    str | None, typer.Option("--serial", help="Serial number of the camera, if several are connected.")
 ]
-SettingsFile = Annotated[Path, typer.Argument(metavar="FILE", help="A .pfs file.")]
+SettingsFile = Annotated[Path, typer.Argument(metavar="FILE", help="Settings file (.pfs).")]
 
 
 @camera.command("save")
 def save_settings(
     file: SettingsFile, serial: CameraSerialOption = None, force: Force = False, json: Json = False
 ) -> None:
-    """Save the camera's present settings to a .pfs file.
+    """Save the current settings of the camera to a .pfs file.
 
-    A rig file that names the file as `features` of its camera loads it first, whenever the rig is opened.
+    A rig file that names this file as `features` of its camera loads it first whenever the rig is opened.
 
     Example: `fpplab camera save camera.pfs`
     """
@@ -53,7 +53,7 @@ def save_settings(
 def load_settings(file: SettingsFile, serial: CameraSerialOption = None, json: Json = False) -> None:
     """Load a .pfs file into a camera; the settings last until it is switched off.
 
-    A file that does not fit the camera is refused; settings before the error may have been applied.
+    A file that does not fit the camera is refused; settings before the error may already have been applied.
 
     Example: `fpplab camera load camera.pfs`
     """

@@ -22,21 +22,21 @@ dlp4500 = typer.Typer(
     cls=Commands,
     no_args_is_help=True,
     rich_help_panel=INSTRUMENTS,
-    help="The projector LightCrafter 4500 by itself.",
+    help="Operate a LightCrafter 4500 projector directly.",
 )
 """`fpplab dlp4500 …`."""
 
 NAME = "projector"  # the projector's name in errors
 
 ProjectorSerialOption = Annotated[
-    str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")
+    str | None, typer.Option("--serial", help="Serial number of the projector, if several are connected.")
 ]
 
 EchoOption = Annotated[
     bool,
     typer.Option(
         "--echo/--no-echo",
-        help="Whether replies return number and flags of their request; not all boards may do so.",
+        help="Whether replies repeat the number and flags of their request; some boards do not.",
     ),
 ]
 
@@ -70,7 +70,7 @@ def _opened_controller(serial: str | None, echo: bool) -> Iterator[Controller]:
 
 @dlp4500.command()
 def status(serial: ProjectorSerialOption = None, echo: EchoOption = True, json: Json = False) -> None:
-    """Show what the projector is doing and its faults.
+    """Show the state of the projector and its faults.
 
     Example: `fpplab dlp4500 status`
     """
@@ -89,12 +89,12 @@ def status(serial: ProjectorSerialOption = None, echo: EchoOption = True, json: 
 
 @dlp4500.command()
 def power(
-    state: Annotated[Power, typer.Argument(help="Wake it, put it to standby, or restart it.")],
+    state: Annotated[Power, typer.Argument(help="Wake the projector, put it in standby, or restart it.")],
     serial: ProjectorSerialOption = None,
     echo: EchoOption = True,
     json: Json = False,
 ) -> None:
-    """Wake the projector, put it in standby, or restart it; its light is off in each case.
+    """Wake the projector, put it in standby, or restart it; its light is off afterwards.
 
     Example: `fpplab dlp4500 power off`
     """
@@ -115,25 +115,26 @@ def led(
     green: LedOption = 0,
     blue: LedOption = 0,
     inverted: Annotated[
-        bool, typer.Option("--inverted/--not-inverted", help="Whether the board takes 255 for off.")
+        bool, typer.Option("--inverted/--not-inverted", help="Whether the board treats level 255 as off.")
     ] = True,
     rig: Annotated[
         str | None,
         typer.Option(
-            "--rig", help="Rig file whose projector states `led_limits`, in place of the usual ones."
+            "--rig", help="Rig file whose projector states `led_limits`, which replace the default limits."
         ),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say whether a limit is exceeded, and switch nothing on.")
+        bool,
+        typer.Option("--dry-run", help="Report whether a limit is exceeded, without switching anything on."),
     ] = False,
     serial: ProjectorSerialOption = None,
     echo: EchoOption = True,
     json: Json = False,
 ) -> None:
-    """Switch the LEDs on by hand; LEDs that are not given are switched off.
+    """Switch the LEDs on manually; LEDs that are not given are switched off.
 
     Levels above the limits, those of the rig file or else the evaluation module's own (red 104, green 135,
-    blue 130), need consent: at the terminal, or by `--allow led-current`.
+    blue 130), need consent: in the terminal, or with `--allow led-current`.
 
     Example: `fpplab dlp4500 led --green 100`
     """
@@ -174,7 +175,7 @@ def show_test_pattern(
     echo: EchoOption = True,
     json: Json = False,
 ) -> None:
-    """Show one of the projector's own test patterns in white, or none with `off`.
+    """Show one of the projector's built-in test patterns in white, or none with `off`.
 
     Example: `fpplab dlp4500 test-pattern grid`
     """

@@ -19,20 +19,22 @@ def build(
     plan: Annotated[
         str,
         typer.Argument(
-            metavar="PLAN", help="Plan file: the patterns to put in.", autocompletion=names_of("plan")
+            metavar="PLAN", help="Plan file with the patterns to store.", autocompletion=names_of("plan")
         ),
     ],
-    base: Annotated[Path, typer.Option("--base", help="The maker's firmware file, or one built before.")],
+    base: Annotated[
+        Path, typer.Option("--base", help="Firmware file of the manufacturer, or one built earlier.")
+    ],
     out: Out,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Build a firmware file that contains a plan's patterns, for the projector to show from flash.
+    """Build a firmware file with the patterns of a plan, for the projector to show from flash.
 
     Each image has 24 bit planes, for three patterns of 8 bits or six of 4, sampled on the diamond lattice of
-    the mirrors and corrected with the plan's response; the grey levels of `fpplab gamma` and `fpplab check`
-    follow. The images of BASE are replaced, its program is not changed. An index, a .yaml file next to OUT,
-    lists where each pattern is: the rig file names it as `flash`.
+    the mirrors and corrected with the response of the plan; the grey levels of `fpplab gamma` and `fpplab
+    check` are appended. The images of BASE are replaced, its program is not changed. An index, a .yaml file
+    next to OUT, lists the place of each pattern: the rig file refers to it as `flash`.
 
     Example: `fpplab dlp4500 build plan_paper.yaml --base DLPR350PROM.bin --out patterns.bin`
     """
@@ -86,18 +88,18 @@ def upload(
         bool, typer.Option("--yes", help="Erase without asking, as with `--allow erase-flash`.")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="List what would be erased and written, and change nothing.")
+        bool,
+        typer.Option("--dry-run", help="List what would be erased and written, without changing anything."),
     ] = False,
     json: Json = False,
 ) -> None:
     """Write the patterns of a built firmware file into the projector's flash.
 
-    Lists what will be erased and asks; without a terminal it is refused unless `--allow erase-flash` or --yes
-    says so. Only the sectors of the images are written and, when these move, the
-    one of the flash table, never the boot loader; each is compared by checksum. After an interruption, give
-    the same command again: it continues.
+    Lists what will be erased and asks for confirmation; without a terminal it needs `--allow erase-flash` or
+    --yes. Only the sectors of the images are written and, if these move, the sector of the flash table,
+    never the boot loader; each is verified by checksum. After an interruption the same command continues.
 
-    Tested on an emulated projector only: have TI's own tool and firmware at hand.
+    Only tested on an emulated projector: have TI's own tool and firmware at hand.
 
     Example: `fpplab dlp4500 upload patterns.bin`
     """

@@ -62,9 +62,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["--help", "-h"]},
     help="""Measure surfaces by fringe projection, on a bench or on its digital twin.
 
-A **rig** file says which devices, a **plan** what to project, a **target** which board. The usual
-order: `characterise` once, then `scan`, then `compare` with the true shape. `fpplab demo` does all
-of it on the virtual bench and leaves a report to look at.
+A **rig** file lists the devices, a **plan** the patterns to project, a **target** describes a board. The
+usual order is `characterise` (calibrate) once, then `scan`, then `compare` with the true shape.
+`fpplab demo` does all of this on the virtual bench and writes a report.
 
 Exit codes: 0 done, 2 wrong input, 3 device, 4 data, 5 calibration, 130 cancelled.""",
 )
@@ -81,16 +81,16 @@ def _fpplab(
     _version: Annotated[
         bool, option("--version", "Print the version.", is_eager=True, callback=_show_version)
     ] = False,
-    verbose: Annotated[
-        bool, option("--verbose -v", "Say on stderr what is done, and how long it takes.")
-    ] = False,
-    log: Annotated[Path | None, option("--log", "Append the same, with all details, to this file.")] = None,
+    verbose: Annotated[bool, option("--verbose -v", "Report each step and its duration on stderr.")] = False,
+    log: Annotated[
+        Path | None, option("--log", "Append the same messages, with all details, to this file.")
+    ] = None,
     trace: Annotated[
         bool,
         option(
             "--trace",
-            "Log what is sent to devices and what they answer, too: in the session's log, with --log in "
-            "that file, with --verbose on stderr.",
+            "Also log everything sent to and received from the devices: in the session's log, in the "
+            "file of --log, and with --verbose on stderr.",
         ),
     ] = False,
     allow: Annotated[
@@ -106,12 +106,13 @@ def _fpplab(
         list[str] | None,
         option(
             "--allow-backend",
-            "Let rig files name devices of this module or package, which is then imported and run.",
+            "Allow rig files to use device drivers from this module or package, which is then "
+            "imported and run.",
             metavar="MODULE",
         ),
     ] = None,
 ) -> None:
-    """Options that stand before every command, or behind it."""
+    """Options of every command, before or after its name."""
     if allow_backend:
         from fpplab.devices.backends import allow_backends
 
@@ -138,17 +139,21 @@ def sort_commands() -> None:
     )
 
 
-Json = Annotated[bool, option("--json", "Print one JSON object on stdout, all else on stderr.")]
+Json = Annotated[bool, option("--json", "Print one JSON object on stdout and everything else on stderr.")]
 Force = Annotated[bool, option("--force", "Replace the output if it exists.")]
 AsRecorded = Annotated[
-    bool, option("--as-recorded", "Take the frames as they are where they seem out of step with the plan.")
+    bool,
+    option(
+        "--as-recorded",
+        "Use the frames in the order recorded, even if they appear out of step with the plan.",
+    ),
 ]
 ImagePlaces = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="FOLDER | FILE...",
-        help="Folder of grey images; or the image files in the order shown, of one image or many: PNG, TIFF, "
-        "BMP, PGM, PPM, JPEG, NPY, NPZ of one array.",
+        help="Folder of grey images, or the image files in the order shown, each with one or several "
+        "images: PNG, TIFF, BMP, PGM, PPM, JPEG, NPY, or NPZ with one array.",
         show_default=False,
     ),
 ]
@@ -156,54 +161,60 @@ FrameNames = Annotated[
     str | None,
     option(
         "--frames",
-        "Images of the folder: 'f_{index:02d}.png', 'set{set}_step{step}.png', '*.png' (by the numbers "
-        "in the names), or '@list.txt' (a name in each line).",
+        "File names of the images in the folder: 'f_{index:02d}.png', 'set{set}_step{step}.png', "
+        "'*.png' (sorted by the numbers in the names), or '@list.txt' (a file with one name per "
+        "line).",
     ),
 ]
 ImageBits = Annotated[
-    int | None, option("--bits", "Depth of the grey levels: 8, 10, 12, 14 or 16; by default it is found.")
+    int | None,
+    option("--bits", "Bits per grey level: 8, 10, 12, 14 or 16. Default: detected from the images."),
 ]
 FirstIndex = Annotated[
-    int, option("--first", "Number of the first image; with {set} and {step}, of both.", min=0)
+    int,
+    option("--first", "Number of the first image; with {set} and {step}, the first number of both.", min=0),
 ]
 FirstStep = Annotated[
-    int | None, option("--first-step", "Number of the first {step}, if it is another.", min=0)
+    int | None, option("--first-step", "Number of the first {step}, if it differs from --first.", min=0)
 ]
 CameraSize = Annotated[
     tuple[int, int] | None,
-    option("--camera-size", "Width and height of the camera in px, where no file says it."),
+    option("--camera-size", "Width and height of the camera image in px, if no file states it."),
 ]
 ProjectorSize = Annotated[
     tuple[int, int] | None,
-    option("--projector-size", "Width and height of the projector in px, where no file says it."),
+    option("--projector-size", "Width and height of the projector image in px, if no file states it."),
 ]
 ProjectorLattice = Annotated[
     Lattice | None,
     option(
         "--lattice",
-        "How the projector's mirrors lie, where no file says it; a LightCrafter's lie in a diamond.",
+        "Arrangement of the projector's mirrors, if no file states it. A LightCrafter 4500 has a "
+        "diamond lattice.",
     ),
 ]
 SkippedImages = Annotated[
     str | None,
     option(
         "--skip",
-        "Images to leave out, such as white and black ones: '0,1' or '0-1', counted as --first counts.",
+        "Images to ignore, such as white and black ones: '0,1' or '0-1', numbered from --first.",
         metavar="NUMBERS",
     ),
 ]
-RigName = Annotated[str, config_option("rig", "Rig file, or the name of one that comes with fpplab.")]
+RigName = Annotated[str, config_option("rig", "Rig file, or the name of a rig supplied with fpplab.")]
 PlanName = Annotated[str, config_option("plan", "Plan file: what to project and capture.")]
-CalibrationOption = Annotated[Path, option("--calibration", "Written by `fpplab characterise`.")]
+CalibrationOption = Annotated[
+    Path, option("--calibration", "Calibration file written by `fpplab characterise`.")
+]
 LimitsOption = Annotated[
-    Path | None, option("--limits", "File of an expert with other limits than the usual ones.")
+    Path | None, option("--limits", "File that overrides the default limits (for experts).")
 ]
 DepthOption = Annotated[
     tuple[float, float] | None,
     option(
         "--depth",
-        "Distances from the camera in mm between which the object lies; by default "
-        "`depth_mm` of the plan, or else of the rig file.",
+        "Nearest and farthest distance of the object from the camera in mm. Default: `depth_mm` "
+        "of the plan, otherwise of the rig file.",
         metavar="NEAR FAR",
     ),
 ]
@@ -211,11 +222,9 @@ CertificateFolder = Annotated[
     Path | None,
     option(
         "--certificate",
-        "Of certificate.pem and key.pem, for a scheduler beyond this computer.",
+        "Folder with certificate.pem and key.pem, needed when the scheduler is on another computer.",
         metavar="FOLDER",
     ),
 ]
-Out = Annotated[Path, option("--out", "Where the result goes.")]
-ReportOption = Annotated[
-    Path | None, option("--report", "Write a report: one HTML file to read, print and forward.")
-]
+Out = Annotated[Path, option("--out", "Output file or folder.")]
+ReportOption = Annotated[Path | None, option("--report", "Write a report as a single HTML file.")]

@@ -33,9 +33,12 @@ else:
     V = TypeVar("V")
 
 ViewOption = Annotated[
-    bool, option("--view", "Watch it live in the viewer; a recording is left for `fpplab view`.")
+    bool, option("--view", "Show progress live in the viewer, and save a recording for `fpplab view`.")
 ]
-KeepOpen = Annotated[bool, option("--keep-open", "The same; the viewer stays until it is closed, or Ctrl-C.")]
+KeepOpen = Annotated[
+    bool,
+    option("--keep-open", "As --view, but keep the viewer open until it is closed or Ctrl-C is pressed."),
+]
 
 
 def open_viewer(

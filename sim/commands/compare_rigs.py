@@ -14,20 +14,18 @@ program = typer.Typer()
 
 @program.command("compare-rigs", rich_help_panel=TWIN)
 def compare_rigs_command(
-    session: Annotated[Path, typer.Argument(help="The bench's scan of the item.")],
-    rig: Annotated[
-        str, typer.Option("--rig", help="Rig file of the bench's twin.", autocompletion=names_of("rig"))
-    ],
-    item: Annotated[str, typer.Option("--item", help="What was scanned, as the twin's world calls it.")],
-    calibration: Annotated[Path, typer.Option("--calibration", help="The bench's calibration.")],
+    session: Annotated[Path, typer.Argument(help="Scan of the item on the bench.")],
+    rig: Annotated[str, typer.Option("--rig", help="Rig file of the twin.", autocompletion=names_of("rig"))],
+    item: Annotated[str, typer.Option("--item", help="Scanned item, by its name in the twin's world.")],
+    calibration: Annotated[Path, typer.Option("--calibration", help="Calibration of the bench.")],
     json: Json = False,
 ) -> None:
-    """Compare a bench with its twin on one scan: what was predicted, what was measured, calibrations crossed.
+    """Compare a bench with its twin on one scan: predicted and measured figures, calibrations exchanged.
 
-    Each figure is shown next to its predicted interval of 95 %. Then the frames of bench and twin are
-    triangulated by either calibration: where the other's is as good as its own, both describe the same bench.
-    The true shape is aligned with the points. The item should stand on the bench as in the twin's
-    world.
+    Each figure is shown next to its predicted 95 % interval. The frames of bench and twin are then
+    triangulated with both calibrations: if the other calibration is as good as its own, both describe the
+    same bench. The true shape is aligned with the points. The item should stand on the bench as in the
+    twin's world.
 
     Example: `fpplab compare-rigs scan --rig matched/rig.yaml --item pyramid --calibration bench.yaml`
     """

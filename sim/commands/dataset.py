@@ -16,27 +16,29 @@ program = typer.Typer()
 def dataset_command(
     context: typer.Context,
     rig: RigName,
-    count: Annotated[int, typer.Option("--count", min=1, help="How many samples.")],
+    count: Annotated[int, typer.Option("--count", min=1, help="Number of samples.")],
     out: Out,
     plan: PlanName = "plan_paper.yaml",
     scenes: Annotated[
         str,
         typer.Option(
-            "--scenes", help="Ranges that scenes are drawn from.", autocompletion=names_of("dataset")
+            "--scenes",
+            help="Scene file: ranges from which scenes are drawn.",
+            autocompletion=names_of("dataset"),
         ),
     ] = "dataset_demo.yaml",
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed gives other scenes.")] = 0,
-    shard_size: Annotated[int, typer.Option("--shard-size", min=1, help="Samples in a shard.")] = 8,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random scenes.")] = 0,
+    shard_size: Annotated[int, typer.Option("--shard-size", min=1, help="Number of samples per shard.")] = 8,
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     json: Json = False,
 ) -> None:
-    """Make labelled captures of random scenes on a simulated rig, for machine learning.
+    """Generate labelled captures of random scenes on a simulated rig, for machine learning.
 
-    Each sample has the frames, wrapped phase, decoded coordinates, and the truth: absolute phase, depth,
-    normals, mask, calibration, and all random parameters. OUT holds shards of NumPy files, `card.json` and
-    `README.md`; `sim.dataset.Dataset(OUT)` reads it. An interrupted data set is completed by the same
-    command; run twice at once, the two share the work.
+    Each sample contains the frames, wrapped phase, decoded coordinates, and the truth: absolute phase,
+    depth, normals, mask, calibration, and all random parameters. OUT contains shards of NumPy files,
+    `card.json` and `README.md`; `sim.dataset.Dataset(OUT)` reads it. The same command completes an
+    interrupted data set; when started twice at once, the two processes share the work.
 
     Example: `fpplab dataset --rig rig_demo_quick --count 100 --out captures`
     """

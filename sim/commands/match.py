@@ -37,70 +37,74 @@ def match_command(
         str,
         typer.Option(
             "--twin",
-            help="Rig file of the nominal twin: values from data sheets.",
+            help="Rig file of the nominal twin, with values from data sheets.",
             autocompletion=names_of("rig"),
         ),
     ],
     out: Out,
     reference: Annotated[
         list[Path] | None,
-        typer.Option("--reference", help="The bench's sessions of a board, or the folder that holds them."),
+        typer.Option("--reference", help="Sessions of a board recorded on the bench, or their folder."),
     ] = None,
     gamma: Annotated[
-        Path | None, typer.Option("--gamma", help="The bench's response, written by `fpplab gamma`.")
+        Path | None, typer.Option("--gamma", help="Response of the bench, written by `fpplab gamma`.")
     ] = None,
     scan: Annotated[
         list[str] | None,
-        typer.Option("--scan", help="ITEM=SESSION: the bench's scan of an artefact, for the judgement."),
+        typer.Option(
+            "--scan", help="ITEM=SESSION: scan of an artefact on the bench, used to judge the twin."
+        ),
     ] = None,
     surface: Annotated[
         list[str] | None,
         typer.Option(
             "--surface",
-            help="ITEM=SESSION: the bench's scan of a part, by which its reflectance and gloss are matched; "
-            "without --reference on a twin that is matched already.",
+            help="ITEM=SESSION: scan of a part on the bench, to match its reflectance and gloss; may be "
+            "used without --reference if the twin is already matched.",
         ),
     ] = None,
     card: Annotated[
         str,
         typer.Option(
             "--card",
-            help="The response's grey card, as the twin's fixture calls it; ITEM=SESSION: and a scan of it, "
-            "by which its pose is matched.",
+            help="Name of the grey card in the twin's fixture; with ITEM=SESSION a scan of the card, to "
+            "match its pose.",
         ),
     ] = "grey_card",
     accept: Annotated[
         list[str] | None,
-        typer.Option("--accept", help="CAUSE: match although this speaks against it; the twin will tell."),
+        typer.Option("--accept", help="CAUSE: proceed despite this finding; the twin keeps a warning."),
     ] = None,
     target: Annotated[
         str | None,
         typer.Option(
             "--target",
-            help="Target file of the board; the twin's own by default.",
+            help="Target file of the board. Default: the twin's.",
             autocompletion=names_of("target"),
         ),
     ] = None,
-    item: Annotated[str, typer.Option("--item", help="What the twin's fixture calls the board.")] = "board",
+    item: Annotated[str, typer.Option("--item", help="Name of the board in the twin's fixture.")] = "board",
     epochs: Annotated[int, typer.Option("--epochs", min=1, help="Maximum number of epochs.")] = 25,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=1, help="Maximum duration, without the comparison at the end.")
+        float, typer.Option("--seconds", min=1, help="Time limit in s, excluding the final comparison.")
     ] = 900.0,
-    alpha: Annotated[float, typer.Option("--alpha", min=0, help="Of log(1 + |ε_d|) in the loss.")] = 0.2,
-    beta: Annotated[float, typer.Option("--beta", min=0, help="Of 1 - SSIM in the loss.")] = 0.8,
+    alpha: Annotated[
+        float, typer.Option("--alpha", min=0, help="Weight of log(1 + |ε_d|) in the loss.")
+    ] = 0.2,
+    beta: Annotated[float, typer.Option("--beta", min=0, help="Weight of 1 - SSIM in the loss.")] = 0.8,
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Match a twin to a bench, from the bench's recordings alone.
+    """Match a twin to a bench, using only recordings of the bench.
 
-    Gamma matching, then characterisation matching by `L = α log(1 + |ε_d|) + β (1 - SSIM)`, then the surfaces
-    of parts: reflectance and gloss, for this part and not for the board's paper. OUT gets the
-    matched twin (`rig.yaml`, which every command takes), `match.jsonl` with every epoch, and `report.html`.
-    `verdict` says whether to believe the twin, `findings` why not; a useless one is not written, and the exit
-    code is 4. The same command continues an interrupted matching, and with `--accept CAUSE` a refused one;
-    every command that uses the twin then says what was accepted.
+    Matches the gamma first, then the characterisation by minimising `L = α log(1 + |ε_d|) + β (1 - SSIM)`,
+    then the surfaces of parts: reflectance and gloss of each part, as opposed to those of the board's paper.
+    OUT contains the matched twin (`rig.yaml`, accepted by every command), `match.jsonl` with every epoch,
+    and `report.html`. `verdict` says whether the twin can be trusted, `findings` why not; an unusable twin
+    is not written, and the exit code is 4. The same command continues an interrupted matching, and with
+    `--accept CAUSE` a refused one; every command that uses the twin then repeats what was accepted.
 
     Example: `fpplab match --twin rig_twin --reference board/ --gamma response.yaml --scan pyramid=pyramid
     --out matched`

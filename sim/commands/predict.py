@@ -18,20 +18,20 @@ def predict_command(
         str,
         typer.Option("--rig", help="Rig file of a twin or virtual bench.", autocompletion=names_of("rig")),
     ],
-    plan: Annotated[str, typer.Option("--plan", help="What to project.", autocompletion=names_of("plan"))],
-    item: Annotated[str, typer.Option("--item", help="What to measure, as the twin's world calls it.")],
+    plan: Annotated[str, typer.Option("--plan", help="Plan to project.", autocompletion=names_of("plan"))],
+    item: Annotated[str, typer.Option("--item", help="Item to measure, by its name in the twin's world.")],
     calibration: Annotated[
         Path | None,
-        typer.Option("--calibration", help="To triangulate with; by default the twin's true one."),
+        typer.Option("--calibration", help="Calibration used to triangulate. Default: the twin's true one."),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Predict a measurement without making it: distance, lengths, noise, completeness, wrong orders and time.
+    """Predict a measurement before making it: distance, lengths, noise, completeness, wrong orders and time.
 
-    The distance is that which `fpplab compare --align` will give, beside what the alignment removes. Each
-    figure has an interval of 95 %: of the scatter of the noise, of the uncertainty of the twin's geometry
-    (`calibration.yaml`), and of what twin and bench differ by (`discrepancy.yaml`); `fpplab match` writes
-    both next to the rig file. A sample of the image's rows is simulated.
+    The distance is the one that `fpplab compare --align` will report, together with what the alignment
+    removes. Each figure has a 95 % interval that includes the scatter of the noise, the uncertainty of the
+    twin's geometry (`calibration.yaml`), and the differences between twin and bench (`discrepancy.yaml`);
+    `fpplab match` writes both next to the rig file. A sample of the image rows is simulated.
 
     Example: `fpplab predict --rig matched/rig.yaml --plan plan_paper --item pyramid`
     """

@@ -12,33 +12,33 @@ twin = typer.Typer(
     cls=Commands,
     no_args_is_help=True,
     rich_help_panel=INSTRUMENTS,
-    help="Show simulated rigs in Blender, and record scans from there.",
+    help="Show simulated rigs in Blender and record scans from there.",
 )
 """`fpplab twin …`."""
 
 ItemOption = Annotated[
-    str | None, typer.Option("--item", help="Item of the world; by default the one that is mounted.")
+    str | None, typer.Option("--item", help="Item of the world. Default: the mounted item.")
 ]
-PoseOption = Annotated[int, typer.Option("--pose", min=0, help="In which of its poses.")]
+PoseOption = Annotated[int, typer.Option("--pose", min=0, help="Pose of the item.")]
 BaselineOption = Annotated[
     float | None,
     typer.Option(
         "--baseline",
         min=0,
-        help="Distance of the projector from the camera in mm, which the stage sets; by default that with "
-        "the stage at 0.",
+        help="Distance between projector and camera in mm, set by the stage. Default: the distance "
+        "with the stage at 0.",
     ),
 ]
 AxisOption = Annotated[
-    Literal["x", "y"], typer.Option("--axis", help="Axis of the projector along which the phase rises.")
+    Literal["x", "y"], typer.Option("--axis", help="Projector axis along which the phase increases.")
 ]
 StripesOption = Annotated[
-    float, typer.Option("--stripes", min=0.01, help="Periods across the projector's image.")
+    float, typer.Option("--stripes", min=0.01, help="Number of fringe periods across the projector image.")
 ]
-StepsOption = Annotated[int, typer.Option("--steps", min=3, max=1000, help="Images of the phase shift.")]
-StepOption = Annotated[int, typer.Option("--step", min=0, help="Which of these images is on show.")]
+StepsOption = Annotated[int, typer.Option("--steps", min=3, max=1000, help="Number of phase-shifted images.")]
+StepOption = Annotated[int, typer.Option("--step", min=0, help="Index of the image shown.")]
 ExposureOption = Annotated[
-    float, typer.Option("--exposure", min=1e-6, max=60, help="Exposure of every frame in s.")
+    float, typer.Option("--exposure", min=1e-6, max=60, help="Exposure of each frame in s.")
 ]
 
 
@@ -105,7 +105,7 @@ def export_blend(
 ) -> None:
     """Write a simulated rig as a .blend file: camera, projector with its fringes, and the item.
 
-    Blender opens it without fpplab and without the extension.
+    Blender opens the file without fpplab and without the extension.
 
     Example: `fpplab twin export --rig matched/rig.yaml --item pyramid --out matched.blend`
     """
@@ -135,14 +135,16 @@ def record_on_twin(
     exposure: ExposureOption = 0.02,
     calibration: Annotated[
         Path | None,
-        typer.Option("--calibration", help="Of the rig at that baseline; by default the simulation's own."),
+        typer.Option(
+            "--calibration", help="Calibration of the rig at this baseline. Default: the simulation's own."
+        ),
     ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Scan an item of a simulated rig with these fringes, and coarser ones to find their orders.
+    """Scan an item of a simulated rig with these fringes, and with coarser ones to find the fringe orders.
 
-    OUT gets the session, as `fpplab scan` leaves it, but for the report.
+    OUT contains the session as `fpplab scan` writes it, except for the report.
 
     Example: `fpplab twin record --rig rig_demo --item pyramid --baseline 165 --stripes 48 --out pyramid`
     """

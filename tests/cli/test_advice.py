@@ -75,8 +75,8 @@ def test_a_synonym_is_answered_with_the_command(fpplab: Command) -> None:
     done = fpplab("calibrate", "--rig", "rig_demo", "--json")
     assert done.code == 2
     assert done.json == {
-        "error": "there is no command 'calibrate'; did you mean `fpplab characterise` (Find the models of "
-        "camera and projector, and the pose between them; or judge those found before)?",
+        "error": "there is no command 'calibrate'; did you mean `fpplab characterise` (Calibrate camera and "
+        "projector, or test, correct or combine calibrations)?",
         "exit_code": 2,
     }
     assert done.err == f"fpplab: {done.json['error']}\n"

@@ -19,20 +19,23 @@ _NAMES = sorted(path.stem for path in _SHAPES.glob("[!_]*.py"))
 def artefact_command(
     name: Annotated[str, typer.Argument(help=f"{', '.join(_NAMES[:-1])} or {_NAMES[-1]}.")],
     out: Out,
-    layer: Annotated[float | None, option("--layer", "As printed in layers of this height, in mm.")] = None,
+    layer: Annotated[
+        float | None, option("--layer", "Model the print with layers of this height in mm.")
+    ] = None,
     bead: Annotated[
-        float | None, option("--bead", "Depth of the marks between layers on a wall, in mm.")
+        float | None, option("--bead", "Depth in mm of the grooves between layers on walls.")
     ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write the true shape of an artefact as STL, in mm: to print it, and to compare with it.
+    """Write the true shape of an artefact as STL, in mm, to print it and to compare scans with it.
 
-    Print the exact shape, but compare the print with the sliced shape: in layers of 0.2 mm a slope is a
-    staircase up to 0.1 mm off, and walls have layer marks, which would count as errors of the measurement.
+    Print the exact shape, but compare with the shape as sliced: layers of 0.2 mm turn a slope into a
+    staircase that is up to 0.1 mm off, and leave marks on walls, which would otherwise count as measurement
+    errors.
 
-    Example: `fpplab artefact pyramid --out pyramid.stl`, and once it is printed
-    `fpplab artefact pyramid --layer 0.2 --bead 0.03 --out printed.stl`
+    Example: `fpplab artefact pyramid --out pyramid.stl`, and after printing `fpplab artefact pyramid --layer
+    0.2 --bead 0.03 --out printed.stl`
     """
     from fpplab import artefacts
     from fpplab.core.files import need_suffix, refuse_existing

@@ -15,17 +15,18 @@ def bug_report_command(
     out: Out,
     sources: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[SESSION | FILE...]", help="Sessions, log files, rig files, plans."),
+        typer.Argument(metavar="[SESSION | FILE...]", help="Sessions, log files, rig files and plans."),
     ] = None,
-    frames: Annotated[bool, option("--frames", "Put the frames of the sessions in, too.")] = False,
+    frames: Annotated[bool, option("--frames", "Include the frames of the sessions.")] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Collect versions, host, logs, rig, plan and verdict in one ZIP file, to be sent to somebody.
+    """Collect versions, host, logs, rig, plan and verdict in one ZIP file for a bug report.
 
-    Nothing is sent anywhere. Frames, clouds and maps are left out: --frames puts the frames in. What is in it
-    is listed on the terminal and in `contents.txt`; names of folders, computers and devices are among it, so
-    look before you send it. A session's log has device traffic where the scan was made with --trace.
+    Nothing is sent. Frames, clouds and maps are left out; --frames includes the frames. The contents are
+    listed in the terminal and in `contents.txt`. They include names of folders, computers and devices: check
+    them before sending the file. The log of a session includes device traffic if it was recorded with
+    --trace.
 
     Example: `fpplab bug-report pyramid run.log --out report.zip`
     """

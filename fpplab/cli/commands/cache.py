@@ -13,11 +13,11 @@ from fpplab.cli.app import TWIN, Commands, Json, app
 if TYPE_CHECKING:
     from fpplab.core.caches import CacheFolder
 
-HELP = """Show what is kept to save time, and how much space it takes; `fpplab cache clear` deletes it.
+HELP = """Show the cache and its size; `fpplab cache clear` deletes it.
 
-Rendered light of simulated scenes, at most 2 GiB, is kept in the user's cache folder ($XDG_CACHE_HOME/fpplab,
-or else ~/.cache/fpplab), so that the next scan of a scene need not render it. What numba compiles stays
-next to the sources, in `__pycache__`, and is not counted here."""
+Rendered light of simulated scenes, up to 2 GiB, is kept in the user's cache folder ($XDG_CACHE_HOME/fpplab,
+otherwise ~/.cache/fpplab), so that the next scan of a scene does not render it again. Code compiled by numba
+is stored next to the sources, in `__pycache__`, and is not included here."""
 
 cache_app = typer.Typer(cls=Commands, help=HELP)
 app.add_typer(cache_app, name="cache", rich_help_panel=TWIN)
@@ -36,9 +36,9 @@ def _cache(context: typer.Context, json: Json = False) -> None:
 
 @cache_app.command("clear")
 def clear_command(context: typer.Context, json: Json = False) -> None:
-    """Delete all that is kept; results of measurements are not among it.
+    """Delete the whole cache. Measurement results are not part of it.
 
-    A simulated scene that is scanned next is rendered again, which takes seconds to minutes.
+    The next scan of a simulated scene renders it again, which takes seconds to minutes.
     """
     from fpplab.core.caches import clear_caches
 

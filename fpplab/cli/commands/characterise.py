@@ -49,68 +49,76 @@ class ModelName(StrEnum):
 def characterise_command(
     context: typer.Context,
     sessions: Annotated[
-        list[Path] | None, typer.Argument(help="Sessions, one per pose, or the folder that holds them.")
+        list[Path] | None, typer.Argument(help="Sessions, one per pose, or the folder that contains them.")
     ] = None,
-    target: Annotated[str | None, config_option("target", "Target file: the board that was shown.")] = None,
+    target: Annotated[str | None, config_option("target", "Target file of the board.")] = None,
     out: Annotated[
-        Path | None, option("--out", "Where the result goes; with --judge, the report, if wanted.")
+        Path | None, option("--out", "Calibration file to write; with --judge, an optional report.")
     ] = None,
     points: Annotated[
         Path | None,
-        option("--points", "Table of the board's points in camera and projector, located elsewhere."),
+        option(
+            "--points", "Table of board points in camera and projector pixels, located by another program."
+        ),
     ] = None,
     camera_size: CameraSize = None,
     projector_size: ProjectorSize = None,
     lattice: ProjectorLattice = None,
-    rig: Annotated[str | None, config_option("rig", "Take the poses now, on this rig.")] = None,
+    rig: Annotated[str | None, config_option("rig", "Record the poses now with this rig.")] = None,
     plan: PlanName = "plan_board.yaml",
-    poses: Annotated[int, option("--poses", "How many poses to take with --rig.", min=3)] = 12,
-    item: Annotated[str, option("--item", "What the rig's fixture calls the board.")] = "board",
+    poses: Annotated[int, option("--poses", "Number of poses to record with --rig.", min=3)] = 12,
+    item: Annotated[str, option("--item", "Name of the board in the rig's fixture.")] = "board",
     model: Annotated[
         ModelName,
         option(
             "--model",
-            "Distortion: k1; k2 (k1 k2); tangential (k1 k2 p1 p2); k3 (and k3); rational (and k4 k5 k6, "
-            "for wide lenses); auto: k3, with the errors of all in poses left out.",
+            "Distortion model: k1; k2 (k1 k2); tangential (k1 k2 p1 p2); k3 (adds k3); rational (adds "
+            "k4 k5 k6, for wide lenses); auto uses k3 and reports how each model predicts poses left "
+            "out of the fit.",
         ),
     ] = ModelName.AUTO,
     refine_board: Annotated[
         bool | None,
         option(
             "--refine-board/--flat-board",
-            "Fit the board's shape too, which is the default; or take it as flat and exact.",
+            "Also estimate the shape of the board (default), or assume that it is flat and exact.",
         ),
     ] = None,
     judged: Annotated[
         Path | None,
-        option("--judge", "Calibration to judge by the sessions, poses that it was not fitted to."),
+        option(
+            "--judge",
+            "Calibration to test with the sessions, whose poses must not have been used in its fit.",
+        ),
     ] = None,
     corrected: Annotated[
         Path | None,
-        option("--correct", "Calibration to correct by the sessions, one to three poses of its board."),
+        option("--correct", "Calibration to correct with the sessions: one to three poses of its board."),
     ] = None,
     combined: Annotated[
-        bool, option("--combine", "Combine the calibrations given instead of sessions, all of one rig.")
+        bool, option("--combine", "Combine several calibrations of the same rig, given in place of sessions.")
     ] = False,
     confirm: Annotated[
-        bool, option("--confirm", "With --judge: record in the calibration that the poses confirm it.")
+        bool,
+        option("--confirm", "With --judge: record the date of the test in the calibration if it passes."),
     ] = False,
     guide: Annotated[
-        bool, option("--guide", "With --rig: ask for the poses one at a time, by what is still uncertain.")
+        bool, option("--guide", "With --rig: request each pose where it reduces the uncertainty most.")
     ] = False,
     marks: Annotated[
-        Path | None, option("--marks", "Session that shows the rig's reference marks, taken after the poses.")
+        Path | None, option("--marks", "Session of the rig's reference marks, recorded after the poses.")
     ] = None,
     marks_target: Annotated[
-        str, config_option("target", "With --marks: target file of what is printed.", "--marks-target")
+        str, config_option("target", "With --marks: target file of the printed marks.", "--marks-target")
     ] = "target_marks",
     until: Annotated[
         str | None,
         option(
             "--until",
-            "With --guide: end at this standard uncertainty of form, such as 20um: root mean square "
-            "over the volume that both devices see within --depth, by the calibration alone, after the best "
-            "rigid motion of all its points, without the board's scale, which no pose can determine.",
+            "With --guide: stop at this standard uncertainty of form, such as 20um. It is the root "
+            "mean square that the calibration contributes over the volume seen by both devices within "
+            "--depth, after removing the best rigid motion and the scale of the board, which no pose "
+            "can determine.",
             metavar="LENGTH",
         ),
     ] = None,
@@ -121,39 +129,42 @@ def characterise_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Find the models of camera and projector, and the pose between them; or judge those found before.
+    """Calibrate camera and projector, or test, correct or combine calibrations.
 
-    Either from recorded sessions, or with `--rig` by taking the poses now (their sessions stay in
-    a folder next to the result). Ten poses or more, tilted up to 30 degrees, over the whole
-    field and depth, make a good characterisation. Writes OUT and a report next to it.
+    The poses of the board come from recorded sessions, or with `--rig` are recorded now (their sessions are
+    kept in a folder next to the result). Use at least ten poses, tilted by up to 30 degrees and spread over
+    the whole field and depth. Writes OUT and a report next to it.
 
-    `verdict` says whether to believe the result; `findings` name what is wrong with the poses' frames, each
-    with what to do about it.
+    `verdict` says whether the result can be trusted; `findings` lists what is wrong with the frames of the
+    poses, each with a remedy.
 
-    With `--guide` each pose is chosen to reduce the uncertainty most, and judged at once: a bad one is
-    rejected, with its cause, while the board is still there. It ends at `--until`, or after `--poses`. A
-    person is asked in words and by a picture (`next_pose.png` next to the poses); give the same command
-    again to go on. `--depth` is the range of the board's distance, by default some percent about the first.
+    With `--guide` each pose is requested where it reduces the uncertainty most and is judged at once: a bad
+    pose is rejected, with the cause, while the board is still in place. It stops at `--until` or after
+    `--poses`. The operator is prompted by text and a picture (`next_pose.png` next to the poses); the same
+    command continues after an interruption. `--depth` is the range of distances of the board, by default a
+    range about the first.
 
-    With `--points` the poses come from a text table, whose first row names its columns: `pose`, `id` (row of
+    With `--points` the poses come from a text table whose first row names its columns: `pose`, `id` (row of
     the target's points) or `x_mm` and `y_mm`, `camera_u`, `camera_v`, `projector_u`, `projector_v`. The
-    centre of a device's first pixel is 0 0; programs that count from 1 need 1 taken off.
+    centre of the first pixel of each device is (0, 0); subtract 1 from the coordinates of programs that
+    count from 1.
 
-    With `--judge` only the position of the board is fitted: the errors in these poses are compared with
-    those that the calibration predicts. The exit code is 5 where they contradict it. Otherwise `--confirm`
-    records when, from which the rig file's `geometry: {max_age_h: ...}` counts.
+    With `--judge` only the position of the board is estimated: the errors at these poses are compared with
+    those predicted by the calibration. The exit code is 5 if they contradict it. If they agree, `--confirm`
+    records the date, from which the age limit in the rig file (`geometry: {max_age_h: ...}`) counts.
 
-    With `--marks` the calibration keeps how camera and projector see reference marks (`fpplab target marks`)
-    that are fixed in view. Every scan that shows them is then verified by itself. With `--correct` as well
-    the corrected calibration keeps them, as this session shows them.
+    With `--marks` the calibration stores how camera and projector see fixed reference marks (`fpplab target
+    marks`). Every scan that shows the marks then verifies its geometry. Together with `--correct` the
+    corrected calibration stores the marks as seen in this session.
 
-    With `--correct` the calibration is brought up to date by one to three new poses, or by a scan that shows
-    its reference marks, after a device was moved, refocused or its picture shifted: `probabilities` says what
-    has changed, `untold` what more poses would tell. Where no such change explains what they show, the exit
-    code is 5: characterise again.
+    With `--correct` the calibration is updated from one to three new poses, or from a scan of the reference
+    marks, after a device was moved or refocused or its image shifted: `probabilities` says what has changed,
+    `untold` which changes need more poses to decide. If no such change explains the poses, the exit code is
+    5: characterise again.
 
-    With `--combine` several calibrations of one rig become their mean, whose uncertainty contains by how much
-    the rig varies between them; `varying` lists the parameters and lengths that vary more than stated.
+    With `--combine` several calibrations of the same rig are averaged, and the uncertainty of the mean
+    includes the variation between them; `varying` lists the parameters and lengths that vary more than
+    stated.
 
     Examples: `fpplab characterise poses/ --target target_paper --out calibration.yaml`;
     `fpplab characterise --rig rig_demo --target target_paper --out calibration.yaml`;

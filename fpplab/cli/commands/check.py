@@ -24,42 +24,49 @@ def check_command(
     rig: RigName,
     plan: Annotated[
         str | None,
-        config_option("plan", "What to project and capture; plan_scan, and plan_board with --board."),
+        config_option("plan", "Plan to project and capture. Default: plan_scan; with --board, plan_board."),
     ] = None,
     item: Annotated[
         str | None,
-        option("--item", "What to look at: an evenly white card or a bright part; grey_card, or board."),
+        option(
+            "--item",
+            "Item in view: an evenly white card or a bright part. Default: grey_card; with --board, board.",
+        ),
     ] = None,
     calibration: Annotated[
-        Path | None, option("--calibration", "Check that it is still the rig's, and the rig's geometry.")
+        Path | None, option("--calibration", "Calibration to check against the present geometry of the rig.")
     ] = None,
     out: Annotated[
         Path | None,
-        option("--out", "Folder for a picture of each finding; a .png for one of the levels seen."),
+        option("--out", "Folder for one picture per finding; a .png file for a plot of the grey levels."),
     ] = None,
     page: ReportOption = None,
     steps: Annotated[
-        bool, option("--steps", "Link, lamp, pulses, rate, exposure, focus, one after another.")
+        bool,
+        option(
+            "--steps", "Test connection, light, triggers, frame rate, exposure and focus one after another."
+        ),
     ] = False,
     board: Annotated[
         Path | None,
-        option("--board", "Take one pose of the board into this folder, and check --calibration."),
+        option("--board", "Record one pose of the board in this folder and check --calibration with it."),
     ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Open the rig, see that each frame shows its own pattern, and name what is wrong.
+    """Test the rig: does each frame show its own pattern, and what is wrong if not.
 
-    Shows twelve uniform grey-level images, stepped and, where camera and projector can, triggered, with the
-    plan's exposure and settling time; says which settling time the display needs. Then shows the plan's
-    fringes, and names what is wrong with light, focus, response, and motion. With --calibration it takes
-    fringes along both axes and checks whether the calibration is still the rig's. With --steps it tries one
-    thing after another instead, as on the first day with a rig, and stops where it cannot continue. The exit
-    code is 0 when all is well, 3 with findings. --out keeps a picture of each finding: the frame, map or
+    Projects twelve uniform grey levels, stepped and, if camera and projector support it, triggered, with the
+    exposure and settling time of the plan; reports the settling time that the display needs. Then projects
+    the fringes of the plan and reports problems of light, focus, response and motion. With --calibration it
+    projects fringes along both axes and tests whether the calibration still fits the rig. With --steps it
+    tests one thing after another, for the first day with a rig, and stops where it cannot continue. The exit
+    code is 0 without findings and 3 with findings. --out saves a picture of each finding: the frame, map or
     curve that shows it.
 
-    With --board one pose of the board judges the calibration, and nothing else is checked: where they agree,
-    the calibration records when; where not, the exit code is 3, and the folder holds a corrected one.
+    With --board nothing else is tested: one pose of the board is compared with the calibration. If they
+    agree, the date is recorded in the calibration; if not, the exit code is 3 and the folder contains a
+    corrected one.
 
     Example: `fpplab check --rig rig_demo --plan plan_scan --calibration calibration.yaml`
     """

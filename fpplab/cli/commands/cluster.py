@@ -13,20 +13,24 @@ from fpplab.cli.completion import option
 
 @app.command("cluster", rich_help_panel=TWIN)
 def cluster_command(
-    listen: Annotated[str, option("--listen", "Address at which others join.")] = "tcp://127.0.0.1:8786",
+    listen: Annotated[
+        str, option("--listen", "Address at which other computers join.")
+    ] = "tcp://127.0.0.1:8786",
     join: Annotated[
-        str | None, option("--join", "Scheduler to join with workers, instead of serving one.")
+        str | None, option("--join", "Join this scheduler with workers, instead of starting one.")
     ] = None,
     certificate: CertificateFolder = None,
     workers: Annotated[
-        int | None, option("--workers", "Processes that measure here; by default one for every core.", min=0)
+        int | None,
+        option("--workers", "Number of worker processes on this computer. Default: one per core.", min=0),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Serve a scheduler and workers for `fpplab optimise --scheduler`, until Ctrl-C.
+    """Start a scheduler and workers for `fpplab optimise --scheduler`, until Ctrl-C.
 
-    Other computers add theirs with --join. Whoever reaches a scheduler has its computers run code: without
-    a certificate it listens to this computer alone, and with one nobody connects who lacks its key.
+    Other computers add workers with --join. Anyone who can reach a scheduler can run code on its computers:
+    without a certificate it only accepts connections from this computer, and with one only from clients that
+    have its key.
 
     Example: `fpplab cluster --listen tls://192.168.1.20:8786 --certificate lab`
     """

@@ -21,14 +21,20 @@ def compare_command(
     context: typer.Context,
     cloud: Annotated[Path, typer.Argument(help="Measured cloud: .ply, .xyz or .npz, or a session.")],
     mesh: Annotated[Path, typer.Argument(help="True shape: .stl, .ply or .obj, in mm.")],
-    align: Annotated[bool, option("--align", "Move the mesh onto the cloud first (rigidly).")] = False,
+    align: Annotated[
+        bool, option("--align", "Align the mesh with the cloud first, by a rigid motion.")
+    ] = False,
     calibration: Annotated[
         Path | None,
-        option("--calibration", "Count only what both devices see. Default: the one next to the cloud."),
+        option(
+            "--calibration",
+            "Compare only surfaces visible to both devices of this calibration. Default: the "
+            "calibration next to the cloud.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
-        option("--out", "Write a picture of the errors (.png), or the points coloured by them (.ply)."),
+        option("--out", "Write a picture of the errors (.png) or the points coloured by error (.ply)."),
     ] = None,
     page: ReportOption = None,
     view: ViewOption = False,
@@ -36,18 +42,18 @@ def compare_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """How far a cloud is from the true shape.
+    """Measure how far a cloud is from the true shape.
 
-    SMCD is the paper's point-set distance, given with its floor: what a perfect measurement
-    with the same sampling would score. The surface figures have no floor.
+    SMCD is the paper's distance between point sets, reported with its floor: the value of a perfect
+    measurement with the same sampling. The distances to the surface have no floor.
 
-    With --align, both are nearly blind to an error of scale or shear. So the scale of the cloud, as that of
-    the best-fit similarity in ppm with its standard uncertainty, is given with them, and for meshes written
-    by `fpplab artefact` lengths such as step heights, measured and true. `warnings` says where these
-    contradict the distances.
+    With --align both hardly respond to errors of scale or shear. The scale of the cloud in ppm, with its
+    standard uncertainty, is therefore reported with them, from the best-fit similarity transform; for meshes
+    written by `fpplab artefact` also lengths such as step heights, measured and true. `warnings` says if
+    these contradict the distances.
 
-    The first line says how far the cloud is from the shape. Where that is far only because the mesh stands
-    elsewhere, such as one of `fpplab artefact`, which stands on z = 0, it says so instead.
+    The first line states the distance from the shape. If the distance is large only because the mesh is in
+    another place (meshes of `fpplab artefact` stand on z = 0), the first line says so instead.
 
     Example: `fpplab compare pyramid/cloud.ply pyramid.stl --align --out errors.png`
     """

@@ -16,7 +16,7 @@ def convert_command(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="A calibration of fpplab, or the files of another program that hold one together."
+            help="An fpplab calibration, or the files of another program that together contain one."
         ),
     ],
     out: Out,
@@ -25,16 +25,16 @@ def convert_command(
     lattice: ProjectorLattice = None,
     unit: Annotated[
         str | None,
-        option("--unit", "Unit of lengths (mm, cm, m), if it is not the one of the files' format."),
+        option("--unit", "Unit of length (mm, cm, m), if it is not the usual unit of the file format."),
     ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Exchange calibrations with other programs.
+    """Convert calibrations between fpplab and other programs.
 
-    A calibration of fpplab becomes OpenCV's FileStorage (M1 D1 M2 D2 R T; .xml or .yml). Files of OpenCV,
+    An fpplab calibration becomes an OpenCV FileStorage (M1 D1 M2 D2 R T; .xml or .yml). Files of OpenCV,
     SLStudio, procam-calibration, MATLAB and Bouguet's toolbox (lengths in mm), and of Kalibr, ROS and mrcal
-    (lengths in m) become a calibration of fpplab (.yaml).
+    (lengths in m) become an fpplab calibration (.yaml).
 
     Examples: `fpplab convert calibration.yaml --out stereo.xml`;
     `fpplab convert stereo.yml --out calibration.yaml --camera-size 1368 912 --projector-size 912 1140

@@ -14,36 +14,44 @@ KnownCoordinates = Annotated[
     typer.Option(
         "--known",
         metavar="COLUMN,ROW,PX",
-        help="A camera pixel and its projector coordinate, for fringes that neighbours unwrap; repeatable.",
+        help="Known projector coordinate of a camera pixel, for plans with spatial unwrapping; may be "
+        "repeated.",
     ),
 ]
 
 
 @app.command("decode", rich_help_panel=MEASURE)
 def decode_command(
-    session: Annotated[Path, typer.Argument(help="A recorded session.")],
+    session: Annotated[Path, typer.Argument(help="Recorded session.")],
     out: Out,
     known: KnownCoordinates = None,
     reference: Annotated[
         Path | None,
-        typer.Option("--reference", help="Session of a plane by the same plan, to give heights over it."),
+        typer.Option(
+            "--reference",
+            help="Session of a flat reference plane recorded with the same plan; heights are then given "
+            "above it.",
+        ),
     ] = None,
     plane: Annotated[
-        Path | None, typer.Option("--plane", help="File that says how the devices stand over the plane.")
+        Path | None,
+        typer.Option(
+            "--plane", help="File with the positions of camera and projector relative to the plane."
+        ),
     ] = None,
     as_recorded: AsRecorded = False,
     limits: LimitsOption = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Projector coordinates of every camera pixel, as NPZ.
+    """Decode a session to projector coordinates for every camera pixel, as NPZ.
 
-    Arrays `u`, `v` (projector pixels), `modulation` (grey levels of 255) and `sigma` (projector
-    pixels), float32, NaN where not measured. A plan that does not describe the frames is refused,
-    with what to write instead. `verdict` says whether to believe the maps, `findings` why not;
-    useless ones are not written, and the exit code is 4, but with `--as-recorded`. Where neighbours unwrap
-    the fringes, `island` numbers what they connect, negative where the fringe order is unknown. With
-    `--reference` and `--plane` there are `height_mm` and `sigma_height_mm`, and `--known` takes heights.
+    Arrays `u`, `v` (projector pixels), `modulation` (grey levels of 255) and `sigma` (projector pixels),
+    float32, NaN where nothing was measured. A plan that does not describe the frames is refused, with the
+    correction. `verdict` says whether the maps can be trusted, `findings` why not; unusable maps are not
+    written and the exit code is 4, unless `--as-recorded` is given. With spatial unwrapping, `island`
+    numbers the connected regions, negative where the fringe order is unknown. With `--reference` and
+    `--plane` the file also has `height_mm` and `sigma_height_mm`, and `--known` takes heights.
     """
     from fpplab.diagnosis import load_limits
     from fpplab.pipeline import parse_known

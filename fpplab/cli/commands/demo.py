@@ -12,14 +12,14 @@ from fpplab.cli.viewing import ConsoleObserver
 @app.command("demo", rich_help_panel=START)
 def demo_command(
     out: Out = Path("fpplab-demo"),
-    quick: Annotated[bool, option("--quick", "684 x 456 pixels instead of 1368 x 912.")] = False,
+    quick: Annotated[bool, option("--quick", "Use 684 x 456 pixels instead of 1368 x 912.")] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
     """Measure three artefacts on the virtual bench, from gamma to report.
 
-    Shows the whole method: response, characterisation with a circle board, scans of a pyramid,
-    pillars and steps, comparison with their true shapes. Open the report it names.
+    Shows the whole method: response, characterisation with a circle board, scans of a pyramid, pillars and
+    steps, and their comparison with the true shapes. Open the report whose path is printed.
 
     Example: `fpplab demo --quick --out first-look`
     """

@@ -8,9 +8,9 @@ from fpplab.cli.app import PREPARE, Json, app
 
 @app.command("devices", rich_help_panel=PREPARE)
 def devices_command(json: Json = False) -> None:
-    """List the cameras, projectors, displays and stages that this computer sees, and why others do not show.
+    """List the cameras, projectors, displays and stages found, and why others are missing.
 
-    With each device, the rig file that comes with fpplab and has such a device; `fpplab rig new` writes one.
+    Names a rig file supplied with fpplab for each device that has one; `fpplab rig new` writes a rig file.
     """
     from fpplab.devices.discovery import connected_devices
 

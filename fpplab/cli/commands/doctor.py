@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 @app.command("doctor", rich_help_panel=START)
 def doctor_command(
     folder: Annotated[
-        Path, typer.Argument(help="Where scans are to be written.", exists=True, file_okay=False)
+        Path, typer.Argument(help="Folder in which scans will be written.", exists=True, file_okay=False)
     ] = Path(),
     json: Json = False,
 ) -> None:
-    """See whether this computer has what fpplab needs, and say what to do where it has not.
+    """Check this computer for everything fpplab needs, and say how to correct what is missing.
 
     Packages and extras, system libraries, permissions of devices and folders, graphics processors, the speed
-    of the disk, and all versions. An extra that was not installed is no fault: it says how to add it. Nothing
-    is sent to a device. The exit code is 3 where something has to be corrected.
+    of the disk, and all versions. An extra that is not installed is not an error; the command to install it
+    is shown. Nothing is sent to a device. The exit code is 3 if something has to be corrected.
 
-    Example: `fpplab doctor --json > doctor.json`, to send with a question
+    Example: `fpplab doctor --json > doctor.json`, to attach to a question
     """
     from fpplab.core import doctor
 

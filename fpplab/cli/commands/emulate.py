@@ -19,17 +19,19 @@ from fpplab.core.errors import ConfigError
 @app.command("emulate", rich_help_panel=INSTRUMENTS)
 def emulate_command(
     name: Annotated[str, typer.Argument(help=f"{', '.join(plugins.plugin_names(plugins.EMULATORS))}.")],
-    firmware: Annotated[Path | None, option("--firmware", "For dlp4500: what is in its flash.")] = None,
+    firmware: Annotated[
+        Path | None, option("--firmware", "For dlp4500: firmware file to place in its flash.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Run a device emulator until Ctrl-C.
 
-    `dlp4500` is a LightCrafter 4500 on this computer's USB, for `fpplab` and for any other program. It holds
-    the patterns of plan_scan.yaml, or what a firmware file has, and says what it shows. It needs Linux, its
-    module vhci-hcd, and the right to plug into it: sudo.
+    `dlp4500` is a LightCrafter 4500 on the USB of this computer, for `fpplab` and any other program. It
+    contains the patterns of plan_scan.yaml or those of a firmware file, and reports what it shows. It needs
+    Linux, the kernel module vhci-hcd, and sudo to attach to it.
 
-    `stage` is a GRBL 1.1 controller with a rail of 200 mm, on a serial port whose name is printed: for a rig
-    file, and for any other program that speaks GRBL.
+    `stage` is a GRBL 1.1 controller with a rail of 200 mm on a serial port whose name is printed, for a rig
+    file or any other program that speaks GRBL.
 
     Example: `fpplab emulate stage`
     """

@@ -25,25 +25,28 @@ def export_command(
     source: Annotated[
         Path,
         typer.Argument(
-            help="A cloud, a session with its cloud, a calibration, or a --json answer or journal of fpplab."
+            help="Point cloud, session with its cloud, calibration, JSON output of a command, or journal."
         ),
     ],
-    out: Annotated[Path, option("--out -o", "The file; its suffix says the format. Some are folders.")],
+    out: Annotated[
+        Path, option("--out -o", "Output file, whose suffix selects the format; some formats are folders.")
+    ],
     layout: Annotated[
-        str | None, option("--layout", "Of a calibration: opencv, slstudio, matlab, bouguet, ros, or table.")
+        str | None,
+        option(
+            "--layout", "Layout of an exported calibration: opencv, slstudio, matlab, bouguet, ros, or table."
+        ),
     ] = None,
-    table: Annotated[
-        str | None, option("--table", "Which table of an answer, where --out is one file.")
-    ] = None,
+    table: Annotated[str | None, option("--table", "Table to write, if --out is a single file.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a cloud, a calibration or tables as other programs read them.
+    """Export a cloud, a calibration or tables in the formats of other programs.
 
-    Clouds: .e57 and .las or .laz (in m), .ply, .xyz, .npz, and .csv with all that is known of each point;
-    .obj, .stl and .3mf of the surface along the pixel grid (in mm). Calibrations: .xml, .yml or .json of
-    OpenCV, .xml of SLStudio, .mat for MATLAB or Bouguet's toolbox, a folder with `camera_info` of ROS, .csv.
-    Answers of `--json` and journals (.jsonl): .csv of one table, or a folder with all.
+    Clouds: .e57 and .las or .laz (in m), .ply, .xyz, .npz, and .csv with all data of each point; .obj, .stl
+    and .3mf of the surface along the pixel grid (in mm). Calibrations: .xml, .yml or .json of OpenCV, .xml
+    of SLStudio, .mat for MATLAB or Bouguet's toolbox, a folder with `camera_info` of ROS, .csv. JSON output
+    of commands and journals (.jsonl): .csv of one table, or a folder with all tables.
 
     Examples: `fpplab export scan --out part.e57`;
     `fpplab export calibration.yaml --layout ros --out ros`; `fpplab export compare.json --out tables`

@@ -15,21 +15,22 @@ def exposure_command(
     rig: RigName,
     plan: PlanName = "plan_scan.yaml",
     seconds: Annotated[
-        float, typer.Option("--seconds", min=0.01, help="Time that the frames of the plan may take.")
+        float, typer.Option("--seconds", min=0.01, help="Maximum duration of the plan in s.")
     ] = 30.0,
     calibration: Annotated[
-        Path | None, option("--calibration", "Written by `fpplab characterise`: gives the noise in µm.")
+        Path | None, option("--calibration", "Calibration file; the noise is then also given in µm.")
     ] = None,
-    item: Annotated[str | None, option("--item", "Have the rig's fixture put this up first.")] = None,
-    pose: Annotated[int, option("--pose", "In which of its poses.", min=0)] = 0,
-    out: Annotated[Path | None, option("--out", "The plan with these exposures.")] = None,
+    item: Annotated[str | None, option("--item", "Item to mount before measuring.")] = None,
+    pose: Annotated[int, option("--pose", "Pose of the item.", min=0)] = 0,
+    out: Annotated[Path | None, option("--out", "Plan file to write, with the chosen exposures.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Find the one to four exposures that measure most of the scene with least noise in the time.
+    """Find the one to four exposures that measure most of the scene with the least noise in a given time.
 
-    Shows white, black and two images of the plan's finest fringes at several exposures. `completeness` is the
-    share of the pixels that see the projector, `sigma_px` the noise of the coordinate along the first axis.
+    Projects white, black and two images of the finest fringes of the plan at several exposures.
+    `completeness` is the fraction of the pixels lit by the projector that can be measured, `sigma_px` the
+    noise of the coordinate along the first axis.
 
     Example: `fpplab exposure --rig rig_demo --plan plan_scan --seconds 20 --out plan_exposures.yaml`
     """

@@ -17,22 +17,22 @@ def gamma_command(
     out: Out,
     plan: PlanName = "plan_paper.yaml",
     levels: Annotated[
-        int | None, option("--levels", "Grey levels to show; the plan's by default.", min=5, max=256)
+        int | None, option("--levels", "Number of grey levels to show. Default: the plan's.", min=5, max=256)
     ] = None,
     repeats: Annotated[
-        int | None, option("--repeats", "How often; the plan's by default.", min=1, max=1000)
+        int | None, option("--repeats", "Number of repeats. Default: the plan's.", min=1, max=1000)
     ] = None,
-    exposure_s: Annotated[float | None, option("--exposure", "Exposure in s; the plan's by default.")] = None,
-    item: Annotated[str, option("--item", "What to look at: an evenly white card.")] = "grey_card",
+    exposure_s: Annotated[float | None, option("--exposure", "Exposure in s. Default: the plan's.")] = None,
+    item: Annotated[str, option("--item", "Item in view: an evenly white card.")] = "grey_card",
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Fit the response `I_out = a I_in^g + b` of projector and camera together.
+    """Measure the response (gamma) `I_out = a I_in^g + b` of projector and camera together.
 
-    Shows uniform grey-level images, says whether the response is good enough for the plan, and writes OUT, a
-    picture and a report next to it. The line `response: OUT` in a plan has its patterns corrected with it.
+    Projects uniform grey levels, says whether the response is good enough for the plan, and writes OUT with
+    a picture and a report next to it. A plan with the line `response: OUT` corrects its patterns by it.
 
     Example: `fpplab gamma --rig rig_demo --plan plan_paper --levels 24 --repeats 4 --out response.yaml`
     """

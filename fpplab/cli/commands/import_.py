@@ -26,14 +26,15 @@ from fpplab.core.errors import ConfigError
 @app.command("import", rich_help_panel=MEASURE)
 def import_command(
     out: Out,
-    plan: Annotated[str | None, config_option("plan", "Plan file: what the images show.")] = None,
+    plan: Annotated[str | None, config_option("plan", "Plan file that describes the images.")] = None,
     places: ImagePlaces = None,
     frames: FrameNames = None,
     bits: ImageBits = None,
     bayer: Annotated[
         str | None,
         option(
-            "--bayer", "Colours of the camera's filter, where images are raw frames: RGGB, GRBG, GBRG, BGGR."
+            "--bayer",
+            "Colour filter of the camera, if the images are raw Bayer frames: RGGB, GRBG, GBRG, BGGR.",
         ),
     ] = None,
     first: FirstIndex = 0,
@@ -42,29 +43,32 @@ def import_command(
     projector_size: ProjectorSize = None,
     lattice: ProjectorLattice = None,
     phase: Annotated[
-        Path | None, option("--phase", "Instead of images: a map along x that another program decoded.")
+        Path | None,
+        option("--phase", "Instead of images: a map of coordinates along x decoded by another program."),
     ] = None,
-    phase_y: Annotated[Path | None, option("--phase-y", "The map along y, with --phase or alone.")] = None,
+    phase_y: Annotated[
+        Path | None, option("--phase-y", "The map along y, together with --phase or alone.")
+    ] = None,
     period: Annotated[
         float | None,
-        option("--period", "Maps are absolute phases in rad, of fringes of this period in projector px."),
+        option("--period", "The maps are absolute phases in rad; fringe period in projector px."),
     ] = None,
     sigma: Annotated[
-        float | None, option("--sigma", "Standard deviation of the maps in projector px, where it is known.")
+        float | None, option("--sigma", "Standard deviation of the maps in projector px, if known.")
     ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Import image files that other programs recorded as a session, or maps that they decoded.
+    """Import images recorded by other programs as a session, or maps that they decoded.
 
-    Every image is checked first: none missing, none left over, greyscale, of one size and depth. A plan that
-    does not seem to describe the images gives a warning, with what to write instead; `fpplab plan guess`
-    writes one from the images. Images that --skip names, such as white and black ones, are not used.
+    All images are checked first: none missing, none left over, greyscale, of the same size and depth. If the
+    plan does not seem to describe the images, a warning says how to correct it; `fpplab plan guess` writes a
+    plan from the images. Images listed with --skip, such as white and black ones, are ignored.
 
-    With `--phase`, `--phase-y` or both, maps of one array each (NPY, NPZ, TIFF, MATLAB) become the maps that
-    `fpplab reconstruct` takes. Their values are projector px, (0, 0) at the centre of the first one, or with
-    `--period` unwrapped phases, 0 at the projector's left and upper edge. Pixels that are not finite, or
-    exactly 0, are not measured.
+    With `--phase`, `--phase-y` or both, maps with one array each (NPY, NPZ, TIFF, MATLAB) are converted to
+    the maps that `fpplab reconstruct` takes. Their values are projector px, with (0, 0) at the centre of the
+    first pixel, or with `--period` unwrapped phases, 0 at the left and upper edge of the projector image.
+    Pixels that are not finite, or exactly 0, count as not measured.
 
     Examples: `fpplab import captures/pose1 --plan plan_slstudio_board --frames '{index:02d}.png' --out p`;
     `fpplab import stack.tif --plan plan_paper --projector-size 912 1140 --lattice diamond --out p`;

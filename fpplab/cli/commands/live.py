@@ -24,51 +24,52 @@ def live_command(
         str | None,
         config_option(
             "plan",
-            "Plan that will be measured with; by default plan_board.yaml with --target, else plan_scan.yaml.",
+            "Plan to prepare for. Default: plan_board with --target, otherwise plan_scan.",
         ),
     ] = None,
     calibration: Annotated[
-        Path | None, option("--calibration", "Show overlap, angle and expected uncertainty by it.")
+        Path | None,
+        option("--calibration", "Calibration used to show overlap, angle and expected uncertainty."),
     ] = None,
     distance: Annotated[
         float | None,
         option(
             "--distance",
-            "Distance of the part from the camera in mm; by default the middle of `depth_mm` of plan or "
-            "rig, or else where both middle rays meet.",
+            "Distance of the part from the camera in mm. Default: the middle of `depth_mm` of plan or "
+            "rig, otherwise where the optical axes are closest.",
             min=1.0,
         ),
     ] = None,
     target: Annotated[
-        str | None, config_option("target", "The board, to take poses of it for `characterise`.")
+        str | None,
+        config_option("target", "Target file of the board, to record its poses for `characterise`."),
     ] = None,
-    poses: Annotated[Path, option("--poses", "Folder of the sessions of poses that are taken.")] = Path(
+    poses: Annotated[Path, option("--poses", "Folder in which recorded poses are saved.")] = Path(
         "live_poses"
     ),
-    item: Annotated[str | None, option("--item", "Item that the rig's fixture mounts first.")] = None,
+    item: Annotated[str | None, option("--item", "Item to mount first.")] = None,
     stage_step: Annotated[
-        float, option("--stage-step", "How far one key moves the stage, in mm.", min=1e-4)
+        float, option("--stage-step", "Distance in mm that one key press moves the stage.", min=1e-4)
     ] = 1.0,
-    frames: Annotated[int | None, option("--frames", "End after this many frames.", min=1)] = None,
-    seconds: Annotated[float | None, option("--seconds", "End after this many seconds.", min=0.1)] = None,
+    frames: Annotated[int | None, option("--frames", "Stop after this number of frames.", min=1)] = None,
+    seconds: Annotated[float | None, option("--seconds", "Stop after this time in s.", min=0.1)] = None,
     view: Annotated[
-        bool, option("--view/--no-view", "Show images in the viewer, or only figures here.")
+        bool, option("--view/--no-view", "Show images in the viewer, or figures in the terminal only.")
     ] = True,
-    out: Annotated[
-        Path | None, option("--out", "Leave a recording of what the viewer shows, as .rrd.")
-    ] = None,
+    out: Annotated[Path | None, option("--out", "Save what the viewer shows as an .rrd file.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Set a rig up: see focus, exposure, overlap and coverage at the camera's rate.
+    """Set up a rig: focus, exposure, overlap and coverage at the camera's frame rate.
 
-    It is operated by keys here or by the buttons of a page for the browser, whose address is printed. Any
-    other fpplab command that wants the rig gets it at once: `live` closes the devices and continues
-    afterwards. Quitting leaves the projector dark.
+    Use the keys in the terminal or the buttons of a browser page whose address is printed. Other fpplab
+    commands that need the rig get it at once: `live` closes the devices and continues afterwards. Quitting
+    leaves the projector dark.
 
-    Keys: `a` takes the advised exposure, `+` `-` exposure, `>` `<` gain; `m` measures with fringes, `w`
-    white, `b` black, `c` `f` coarse and fine fringes, `k` checkerboard, `x` cross; `[` `]` stage, `h` homes
-    it; `t` takes a pose, `n` next pose of the fixture; `r` forgets the best focus; `q` quits.
+    Keys: `a` sets the recommended exposure, `+` `-` change exposure, `>` `<` gain; `m` measures with
+    fringes, `w` shows white, `b` black, `c` `f` coarse and fine fringes, `k` a checkerboard, `x` a cross;
+    `[` `]` move the stage, `h` homes it; `t` records a pose, `n` mounts the next pose; `r` resets the best
+    focus; `q` quits.
 
     Example: `fpplab live --rig rig_demo --item board --target target_paper --poses poses`
     """

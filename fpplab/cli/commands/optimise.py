@@ -21,32 +21,37 @@ if TYPE_CHECKING:
 @app.command("optimise", rich_help_panel=TWIN)
 def optimise_command(
     context: typer.Context,
-    what: Annotated[SearchScope, typer.Argument(help="What to search: phases, stripes, baseline or pareto.")],
+    what: Annotated[
+        SearchScope, typer.Argument(help="Quantity to search: phases, stripes, baseline or pareto.")
+    ],
     rig: RigName,
-    out: Annotated[Path, option("--out", "The plan (.yaml); of `pareto` the folder of its plans.")],
+    out: Annotated[Path, option("--out", "Plan file to write (.yaml); for `pareto`, a folder of plans.")],
     study: Annotated[
-        str | None, config_option("study", "Study file: space, limits, objectives, method.")
+        str | None, config_option("study", "Study file: search space, limits, objectives, method.")
     ] = None,
     calibration: Annotated[
-        Path | None, option("--calibration", "Of the rig as it stands; without, it is characterised first.")
+        Path | None,
+        option(
+            "--calibration", "Calibration of the rig as it stands. Without it the rig is characterised first."
+        ),
     ] = None,
     seeds: Annotated[
-        int | None, option("--seeds", "Seeds 1 … N of the noise, or repeats on a real rig.", min=1)
+        int | None,
+        option("--seeds", "Number of noise seeds per candidate, or of repeats on a real rig.", min=1),
     ] = None,
     workers: Annotated[
         int | None,
-        option(
-            "--workers", "Processes that measure; by default a simulation's are one for every core.", min=1
-        ),
+        option("--workers", "Number of worker processes. Default for simulated rigs: one per core.", min=1),
     ] = None,
     scheduler: Annotated[
-        str | None, option("--scheduler", "Address of a `dask` scheduler whose workers measure.")
+        str | None,
+        option("--scheduler", "Address of a `dask` scheduler whose workers evaluate the candidates."),
     ] = None,
     certificate: CertificateFolder = None,
     confirm: Annotated[
         str | None,
         config_option(
-            "rig", "Rig on which the start's plan and the one found are then compared.", "--confirm"
+            "rig", "Rig on which the initial and the optimised plan are then compared.", "--confirm"
         ),
     ] = None,
     view: ViewOption = False,
@@ -54,13 +59,14 @@ def optimise_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Search phase counts, stripe counts, the baseline, or the front of all together.
+    """Search for the best plan or baseline, usually on the twin.
 
-    `phases`: the fewest images that measure no worse than the start's plan. `stripes` and `baseline`: the
-    least mean distance to the surface. `pareto`: that distance against images. OUT is what `fpplab scan
-    --plan` takes; a report and the journal stay next to it, from which the same command continues an
-    interrupted search. `verdict` says whether to believe the optimum, `findings` why not; where it is worse
-    than the start no plan is left, and the exit code is 4.
+    `phases` finds the fewest images that measure no worse than the initial plan. `stripes` and `baseline`
+    minimise the mean distance to the surface. `pareto` finds the trade-off between that distance and the
+    number of images. OUT can be given to `fpplab scan --plan`; a report and the journal are written next to
+    it, and the same command continues an interrupted search from the journal. `verdict` says whether the
+    optimum can be trusted, `findings` why not; if it is worse than the initial plan no plan is written and
+    the exit code is 4.
 
     Example: `fpplab optimise stripes --rig rig_demo --out stripes.yaml --confirm rig_hidden`
     """

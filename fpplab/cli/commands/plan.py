@@ -28,7 +28,7 @@ from fpplab.core.errors import DataError
 
 plan_app = typer.Typer(
     cls=Commands,
-    help="Look at a plan before it is measured, write one of fine fringes, or guess one.",
+    help="Inspect a plan before measuring, or write one: of fine fringes, or from images.",
     no_args_is_help=True,
 )
 app.add_typer(plan_app, name="plan", rich_help_panel=PREPARE)
@@ -40,27 +40,31 @@ def show_command(
         str,
         typer.Argument(
             metavar="PLAN",
-            help="Plan file, or the name of one that comes with fpplab.",
+            help="Plan file, or the name of a plan supplied with fpplab.",
             autocompletion=names_of("plan"),
         ),
     ],
     rig: RigName,
     calibration: Annotated[
-        Path | None, option("--calibration", "Of the rig; depths then have an uncertainty, too.")
+        Path | None,
+        option("--calibration", "Calibration of the rig; the uncertainty of depth is then given as well."),
     ] = None,
     noise: Annotated[
         float,
-        option("--noise", "Of a grey level, as a share of the modulation.", min=1e-6, max=1),
+        option(
+            "--noise", "Standard deviation of a grey level, as a fraction of the modulation.", min=1e-6, max=1
+        ),
     ] = 0.02,
-    out: Annotated[Path | None, option("--out", "Picture of all patterns, as PNG.")] = None,
+    out: Annotated[Path | None, option("--out", "PNG file for a picture of all patterns.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Show what a plan takes on a rig and gives: images, bit planes, times, uncertainties.
+    """Show what a plan needs on a rig and what it gives: images, bit planes, times, uncertainties.
 
-    Opens the rig, configures the camera and loads the patterns, projects nothing, and refuses a plan that
-    cannot work. Times are least times, by what the devices say of themselves; loading patterns comes on top.
-    Uncertainties are those of noise alone, with grey levels that scatter by --noise of the modulation.
+    Opens the rig, configures the camera and loads the patterns, but projects nothing. A plan that cannot
+    work is refused. The times are minimum times according to the devices, without the time to load patterns.
+    The uncertainties are due to noise alone, for a standard deviation of the grey levels of --noise times
+    the modulation.
 
     Example: `fpplab plan show plan_paper --rig rig_demo --out patterns.png`
     """
@@ -93,7 +97,7 @@ def fine_command(
         tuple[float, float],
         option(
             "--depth",
-            "Distances from the camera in mm between which the object lies.",
+            "Nearest and farthest distance of the object from the camera in mm.",
             metavar="NEAR FAR",
         ),
     ],
@@ -102,7 +106,8 @@ def fine_command(
         float | None,
         option(
             "--blur",
-            "Of the fringes, as a standard deviation in projector px; left out, that of a sharp projector.",
+            "Blur of the projected fringes, as a standard deviation in projector px. Default: that of "
+            "a sharp projector.",
             min=0,
             max=2.5,
         ),
@@ -110,10 +115,11 @@ def fine_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a plan of fine fringes alone, for parts whose faces light each other.
+    """Write a plan of fine fringes only, for parts with faces that light each other.
 
-    Light that comes by way of another face is even over fine fringes, and bends their phase only where faces
-    meet. Calibration and depth range tell the fringe orders; the narrower the range, the surer they are.
+    Light reflected by another face is nearly uniform over fine fringes, and disturbs their phase only where
+    the faces meet. The fringe orders follow from the calibration and the depth range; the narrower the
+    range, the more reliable they are.
 
     Example: `fpplab plan fine --calibration calibration.yaml --depth 425 475 --out fine.yaml`
     """
@@ -135,7 +141,7 @@ def fine_command(
 @plan_app.command("guess")
 def guess_command(
     projector_size: Annotated[
-        tuple[int, int], option("--projector-size", "Width and height of the projector in px.")
+        tuple[int, int], option("--projector-size", "Width and height of the projector image in px.")
     ],
     out: Out,
     places: ImagePlaces = None,
@@ -145,15 +151,15 @@ def guess_command(
     first_step: FirstStep = None,
     skip: SkippedImages = None,
     finest: Annotated[
-        float | None, option("--finest", "Stripes of the finest set, where they are known.", min=1)
+        float | None, option("--finest", "Number of stripes of the finest set, if known.", min=1)
     ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write the plan that images of another program show: sets, steps, axes, stripes, signs.
+    """Write the plan that describes images of another program: sets, steps, axes, stripes, signs.
 
-    The images must be sets of phase-shifted sinusoids with equal steps, one after the other, apart from those
-    that --skip names. What they do not tell is assumed as usual, and written at the head of the plan.
+    The images must be consecutive sets of phase-shifted sinusoids with equal steps, apart from those listed
+    with --skip. Whatever the images do not show is assumed to be as usual and noted at the top of the plan.
 
     Example: `fpplab plan guess images --frames '{index:02d}.png' --projector-size 912 1140 --out p.yaml`
     """

@@ -24,11 +24,12 @@ from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_me
 @app.command("reconstruct", rich_help_panel=MEASURE)
 def reconstruct_command(
     context: typer.Context,
-    session: Annotated[Path, typer.Argument(help="A recorded session, or maps (.npz).")],
+    session: Annotated[Path, typer.Argument(help="Recorded session, or decoded maps (.npz).")],
     calibration: CalibrationOption,
     out: Out,
     filtering: Annotated[
-        bool | None, option("--filter/--no-filter", "Remove points that lie on no surface; as the plan says.")
+        bool | None,
+        option("--filter/--no-filter", "Remove points that lie on no surface. Default: the plan's setting."),
     ] = None,
     depth: DepthOption = None,
     known: Annotated[
@@ -36,7 +37,7 @@ def reconstruct_command(
         typer.Option(
             "--known",
             metavar="COLUMN,ROW,MM",
-            help="A camera pixel and its distance, for fringes that neighbours unwrap; repeatable.",
+            help="Known distance at a camera pixel, for plans with spatial unwrapping; may be repeated.",
         ),
     ] = None,
     as_recorded: AsRecorded = False,
@@ -46,14 +47,14 @@ def reconstruct_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """The cloud of a recorded session: `.ply` (with normals and colour), `.xyz` or `.npz`.
+    """Compute the cloud of a recorded session: `.ply` (with normals and colour), `.xyz` or `.npz`.
 
-    A report with its pictures is written next to it. `verdict` says whether to believe the points,
-    `findings` why not; useless points are not written, and the exit code is 4. `removed` says how many points
-    the plan's filter took out, by rule.
+    A report with pictures is written next to it. `verdict` says whether the points can be trusted,
+    `findings` why not; unusable points are not written, and the exit code is 4. `removed` says how many
+    points each rule of the plan's filter removed.
 
-    Maps of `fpplab import --phase` or `fpplab decode` are triangulated as they are, without filter and
-    report; without frames, their points are `doubtful` at best.
+    Maps from `fpplab import --phase` or `fpplab decode` are triangulated without filter and report; as there
+    are no frames to check, their points are `doubtful` at best.
     """
     if session.is_file() and session.suffix.lower() == ".npz":
         _triangulate_maps(

@@ -13,15 +13,15 @@ from fpplab.cli.viewing import ConsoleObserver
 
 @app.command("report", rich_help_panel=JUDGE)
 def report_command(
-    scans: Annotated[list[Path], typer.Argument(help="Sessions or clouds, two or more.")],
-    out: Annotated[Path, option("--out", "The page, as HTML.")],
+    scans: Annotated[list[Path], typer.Argument(help="Two or more sessions or clouds.")],
+    out: Annotated[Path, option("--out", "HTML file to write.")],
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Compare several scans on one page: verdicts, figures side by side, and what their plans differ by.
+    """Compare several scans on one page: verdicts, figures side by side, and differences between their plans.
 
-    Where scans were reconstructed with the same calibration, the page also shows how far each is from the
-    first, pixel by pixel along the camera's rays.
+    For scans reconstructed with the same calibration, the page also shows how far each is from the first,
+    pixel by pixel along the camera rays.
 
     Example: `fpplab report monday tuesday wednesday/cloud.ply --out week.html`
     """

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from fpplab.setup.display_timing import DisplayTiming
 
 rig_app = typer.Typer(
-    cls=Commands, help="Write a rig file from what is connected; measure a rig's times.", no_args_is_help=True
+    cls=Commands,
+    help="Write a rig file for the connected devices, or measure the timing of a rig.",
+    no_args_is_help=True,
 )
 app.add_typer(rig_app, name="rig", rich_help_panel=PREPARE)
 
@@ -27,25 +29,25 @@ NAMED = "Serial number, model, port or display, as `fpplab devices` shows it"
 @rig_app.command("new")
 def new_command(
     out: Out,
-    name: Annotated[str, option("--name", "What the rig is called in reports.")] = "Bench",
+    name: Annotated[str, option("--name", "Name of the rig in reports.")] = "Bench",
     camera: Annotated[str | None, option("--camera", f"{NAMED}.")] = None,
     projector: Annotated[str | None, option("--projector", f"{NAMED}.")] = None,
     stage: Annotated[str | None, option("--stage", f"{NAMED}; `none` for none.")] = None,
-    home: Annotated[bool, option("--home", "Home the stage: its carriage moves.")] = False,
+    home: Annotated[bool, option("--home", "Home the stage. Its carriage moves.")] = False,
     operator: Annotated[
-        bool, option("--operator/--no-operator", "Whether a person holds what is measured.")
+        bool, option("--operator/--no-operator", "Whether a person mounts the items to be measured.")
     ] = True,
     no_questions: Annotated[
-        bool, option("--no-questions", "Take what is named, or the only device of a kind.")
+        bool, option("--no-questions", "Do not ask: use the devices named, or the only one of its kind.")
     ] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
     """Choose among the connected devices, test each, and write a rig file.
 
-    The camera must give a picture, and see that the projector's white is brighter than its black; the stage
-    must answer, and is homed if you say so. The file is written only when all devices have passed. With
-    --no-questions a serial port or the computer's main display is used only if it is named.
+    The camera must deliver an image and see the projector's white brighter than its black; the stage must
+    answer, and is homed if you agree. The file is written only if all devices pass. With --no-questions a
+    serial port or the computer's main display is only used if it is named.
 
     Example: `fpplab rig new --out rig.yaml`
     """
@@ -76,10 +78,10 @@ def new_command(
 
 @rig_app.command("timing")
 def timing_command(rig: RigName, plan: PlanName = "plan_scan.yaml", json: Json = False) -> None:
-    """Measure with the camera how late the projector shows a pattern, and how long it refreshes.
+    """Measure with the camera the delay with which the projector shows a pattern, and its refresh time.
 
-    Needs a white card or a bright part in the light. Tells the `settle_s` that a stepped plan needs. The exit
-    code is 3 where the refresh that the camera sees is not the one that the display reports.
+    Needs a white card or a bright part in the light. Reports the `settle_s` that a stepped plan needs. The
+    exit code is 3 if the refresh rate seen by the camera is not the one that the display reports.
 
     Example: `fpplab rig timing --rig rig.yaml`
     """

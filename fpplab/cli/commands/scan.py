@@ -38,25 +38,25 @@ def scan_command(
     calibration: CalibrationOption,
     out: Out,
     plan: PlanName = "plan_scan.yaml",
-    item: Annotated[str | None, option("--item", "Have the rig's fixture put this up first.")] = None,
-    pose: Annotated[int, option("--pose", "In which of its poses.", min=0)] = 0,
+    item: Annotated[str | None, option("--item", "Item to mount before measuring.")] = None,
+    pose: Annotated[int, option("--pose", "Pose of the item.", min=0)] = 0,
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     depth: DepthOption = None,
     limits: LimitsOption = None,
     dry_run: Annotated[
-        bool, option("--dry-run", "Say where the stage would go, and move and project nothing.")
+        bool, option("--dry-run", "Report where the stage would move, without moving or projecting.")
     ] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Measure: project the plan, and leave the session with its cloud in OUT.
+    """Measure: project the plan, and write the session with its cloud to OUT.
 
-    An interrupted scan is completed by the same command. Where `fpplab serve` holds the rig open, the scan is
-    done there, with the same files and results. OUT holds the frames, `decoded.npz`,
-    `cloud.ply` and `report.html`. `verdict` says whether to believe the points, `findings` why not; useless
-    points are not written, and the exit code is 4. `removed` says how many points the plan's filter took out,
-    by rule.
+    The same command completes an interrupted scan. If `fpplab serve` has the rig open, the scan is done by
+    the service, with the same files and results. OUT contains the frames, `decoded.npz`, `cloud.ply` and
+    `report.html`. `verdict` says whether the points can be trusted, `findings` why not; unusable points are
+    not written, and the exit code is 4. `removed` says how many points each rule of the plan's filter
+    removed.
 
     Example: `fpplab scan --rig rig_demo --calibration calibration.yaml --item pyramid --out pyramid`
     """

@@ -15,36 +15,49 @@ from fpplab.cli.completion import option
 def serve_command(
     rig: RigName,
     calibration: Annotated[
-        Path | None, option("--calibration", "For orders that name none; by default calibration.yaml in OUT.")
+        Path | None,
+        option("--calibration", "Calibration for requests that name none. Default: calibration.yaml in OUT."),
     ] = None,
-    out: Annotated[Path, option("--out", "Folder of the sessions, and of what became of each order.")] = Path(
+    out: Annotated[Path, option("--out", "Folder for the sessions and the record of each request.")] = Path(
         "scans"
     ),
     listen: Annotated[
-        str, option("--listen", "Address; port 0 is any that is free. Beyond this computer it is encrypted.")
+        str,
+        option(
+            "--listen",
+            "Address and port; port 0 selects a free one. Other computers need an encrypted connection.",
+        ),
     ] = "127.0.0.1:0",
     certificate: Annotated[
         Path | None,
-        option("--certificate", "Of certificate.pem and key.pem, to be reached encrypted.", metavar="FOLDER"),
+        option(
+            "--certificate",
+            "Folder with certificate.pem and key.pem, for encrypted connections.",
+            metavar="FOLDER",
+        ),
     ] = None,
     client: Annotated[
         list[str] | None,
-        option("--client", "Address or network of other computers that may ask.", metavar="NETWORK"),
+        option("--client", "Address or network of other computers that may connect.", metavar="NETWORK"),
     ] = None,
     host: Annotated[
-        list[str] | None, option("--host", "Name by which other computers call this one.", metavar="NAME")
+        list[str] | None, option("--host", "Name by which other computers address this one.", metavar="NAME")
     ] = None,
     token_file: Annotated[
-        Path | None, option("--token-file", "Of the token that clients send; by default a new one is made.")
+        Path | None,
+        option(
+            "--token-file", "File with the token that clients must send. Default: a new token is created."
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Keep a rig open, and measure what other programs order, until Ctrl-C.
+    """Keep a rig open and measure on request of other programs, until Ctrl-C.
 
-    Devices stay open and all is loaded: a scan takes its exposures and the time of its points. `fpplab scan`
-    with the same rig uses the service by itself. Other programs order over HTTP, or in Python by
-    `fpplab.ServiceClient`: they are told when the last exposure is over, then the verdict, then the report.
-    The address's page /docs describes it. Orders and results outlive the service.
+    Devices stay open and everything is loaded, so that a scan takes only its exposures and its computation.
+    `fpplab scan` with the same rig uses the service automatically. Other programs send requests over HTTP,
+    or in Python with `fpplab.ServiceClient`: they are informed when the last exposure is over, then of the
+    verdict, then of the report. The page /docs of the address describes the interface. Requests and results
+    survive a restart of the service.
 
     Example: `fpplab serve --rig rig_demo --calibration calibration.yaml`
     """

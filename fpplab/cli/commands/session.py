@@ -10,17 +10,15 @@ from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Commands, Json, app
 from fpplab.core.errors import DataError
 
-SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder of the session.")]
+SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="Session folder.")]
 
-session_app = typer.Typer(
-    cls=Commands, help="Tell what a session is, verify it, or repair it.", no_args_is_help=True
-)
+session_app = typer.Typer(cls=Commands, help="Describe, verify or repair a session.", no_args_is_help=True)
 app.add_typer(session_app, name="session", rich_help_panel=MEASURE)
 
 
 @session_app.command("info")
 def info_command(session: SessionPath, json: Json = False) -> None:
-    """Tell what a session is: format, plan, frames, rig, devices, times and results. Reads no frame.
+    """Describe a session: format, plan, frames, rig, devices, times and results. Reads no frames.
 
     Example: `fpplab session info pyramid`
     """
@@ -53,10 +51,10 @@ def _show(description: dict[str, Any]) -> None:
 
 @session_app.command("verify")
 def verify_session_command(session: SessionPath, json: Json = False) -> None:
-    """Read every file of a session, compare all checksums, and name everything that is wrong.
+    """Read every file of a session, compare all checksums, and list everything that is wrong.
 
-    Frames that have not been taken yet are no fault. The exit code is 4 where anything is damaged or gone;
-    `fpplab session repair` keeps what is whole.
+    Frames that have not been recorded yet are not an error. The exit code is 4 if anything is damaged or
+    missing; `fpplab session repair` keeps what is intact.
 
     Example: `fpplab session verify pyramid`
     """
@@ -82,11 +80,11 @@ def verify_session_command(session: SessionPath, json: Json = False) -> None:
 
 @session_app.command("repair")
 def repair_command(session: SessionPath, json: Json = False) -> None:
-    """Make a damaged session readable again: keep what is whole, and name what is lost.
+    """Make a damaged session readable again: keep what is intact, and list what is lost.
 
-    Nothing is deleted: damaged files go to SESSION.damaged, next to it. Plan and rig are restored from their
-    copies in the session. Frames that are lost are missing then: the scan's own command takes them again,
-    which is right only where the part has not moved since.
+    Nothing is deleted: damaged files are moved to SESSION.damaged, next to it. Plan and rig are restored
+    from their copies in the session. The original scan command records lost frames again, which is only
+    valid if the part has not moved since.
 
     Example: `fpplab session repair pyramid`
     """

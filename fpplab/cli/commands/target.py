@@ -17,11 +17,11 @@ def target_command(
         str,
         typer.Argument(
             metavar="TARGET",
-            help="Target file, or the name of one that comes with fpplab.",
+            help="Target file, or the name of a target supplied with fpplab.",
             autocompletion=names_of("target"),
         ),
     ],
-    out: Annotated[Path, option("--out --make", "The page to write: .pdf or .svg.")],
+    out: Annotated[Path, option("--out --make", "Page to write: .pdf or .svg.")],
     paper: Annotated[str, option("--paper", "A4, A3, letter, or width x height in mm like 300x200.")] = "A4",
     force: Force = False,
     json: Json = False,

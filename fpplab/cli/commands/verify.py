@@ -20,26 +20,30 @@ if TYPE_CHECKING:
 @app.command("verify", cls=VariadicOptionsCommand, rich_help_panel=JUDGE)
 def verify_command(
     context: typer.Context,
-    standard: Annotated[str, config_option("standard", "Standard file: the standards and limits.")],
+    standard: Annotated[
+        str, config_option("standard", "Standard file: ball bar, plane and permissible errors.")
+    ],
     out: Out,
     spheres: Annotated[
-        list[Path] | None, option("--spheres", "Clouds or sessions of the ball bar, any number.")
+        list[Path] | None, option("--spheres", "Clouds or sessions of the ball bar; any number.")
     ] = None,
     planes: Annotated[
-        list[Path] | None, option("--planes", "Clouds or sessions of the plane, any number.")
+        list[Path] | None, option("--planes", "Clouds or sessions of the plane; any number.")
     ] = None,
     mpe: Annotated[str, option("--mpe", "Maximum permissible errors in µm, such as PF=50,SD=30.")] = "",
     positions: Annotated[
         str,
         option(
             "--positions",
-            "Least numbers of positions, such as PF=10,SD=7. "
-            "Default: the standard file's, or PF=10,PS=10,SD=7,F=6.",
+            "Minimum numbers of positions, such as PF=10,SD=7. Default: the standard file's, or "
+            "PF=10,PS=10,SD=7,F=6.",
         ),
     ] = "",
-    rig: Annotated[str | None, config_option("rig", "Measure the standard's items now, on this rig.")] = None,
+    rig: Annotated[
+        str | None, config_option("rig", "Measure the items of the standard now with this rig.")
+    ] = None,
     calibration: Annotated[
-        Path | None, option("--calibration", "Of the rig, or of sessions without a cloud.")
+        Path | None, option("--calibration", "Calibration of the rig, or for sessions without a cloud.")
     ] = None,
     plan: PlanName = "plan_scan.yaml",
     view: ViewOption = False,
@@ -47,14 +51,14 @@ def verify_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Acceptance test in the manner of VDI/VDE 2634 part 2, on a ball bar and a plane.
+    """Acceptance test based on VDI/VDE 2634 part 2, with a ball bar and a plane.
 
-    Probing error of form PF and of size PS, sphere-spacing error SD and flatness measurement error F,
-    each in µm with its maximum permissible error. PF and F are the range of the points without the 3 ‰
-    farthest from the fit; PF_all and F_all, given with them, that of all points. The angle of incidence up
-    to which a sphere's points count, 60° by default, is part of the result. `verdict` says whether to believe
-    the system, `findings` why not. A test that is not passed is a result and no fault: the exit code is 0,
-    and `passed` is false; with errors of ten times what is permitted it is 4. Writes OUT, a report.
+    Probing error of form PF and of size PS, sphere-spacing error SD and flatness measurement error F, each
+    in µm with its maximum permissible error. PF and F are the range of the points without the 3 ‰ farthest
+    from the fit; PF_all and F_all, also given, the range of all points. The angle of incidence up to which
+    points of a sphere count, 60° by default, is part of the result. `verdict` says whether the system can be
+    trusted, `findings` why not. A failed test is a result, not an error: the exit code is 0 and `passed` is
+    false; if an error is ten times the permissible one the exit code is 4. Writes OUT, a report.
 
     Examples: `fpplab verify --standard standard_demo --spheres bar1/cloud.ply bar2/cloud.ply
     --planes plane1/cloud.ply --out verify.html`;

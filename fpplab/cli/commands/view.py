@@ -20,23 +20,25 @@ if TYPE_CHECKING:
 @app.command("view", rich_help_panel=MEASURE)
 def view_command(
     session: Annotated[
-        Path, typer.Argument(help="A session; or what `--view` left, as a file (.rrd) or its folder.")
+        Path, typer.Argument(help="Session; or a recording made with `--view` (.rrd file or its folder).")
     ],
-    calibration: Annotated[Path | None, option("--calibration", "Default: the one in the session.")] = None,
+    calibration: Annotated[
+        Path | None, option("--calibration", "Calibration file. Default: the one in the session.")
+    ] = None,
     mesh: Annotated[
-        Path | None, option("--mesh", "True shape: the cloud is coloured by its distance from it.")
+        Path | None, option("--mesh", "True shape; the cloud is then coloured by its distance from it.")
     ] = None,
     align: Annotated[
-        bool, option("--align", "Move the cloud onto the mesh first, as `compare` does.")
+        bool, option("--align", "Align the cloud with the mesh first, as `compare` does.")
     ] = False,
-    out: Annotated[Path | None, option("--out", "Save as .rrd instead of showing.")] = None,
+    out: Annotated[Path | None, option("--out", "Save as an .rrd file instead of showing.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Show a session in the rerun viewer: images, phase, maps, the cloud by uncertainty, and both devices.
+    """Show a session in the rerun viewer: images, phase, maps, cloud by uncertainty, devices.
 
-    Without a display it is served to a browser on this computer, at the address that is printed. It ends when
-    its window or page is closed, or by Ctrl-C. A folder that is no session is shown by its `view.rrd`.
+    Without a display it is served to a browser on this computer, at the address printed. It ends when its
+    window or page is closed, or with Ctrl-C. A folder that is not a session is shown by its `view.rrd`.
 
     Example: `fpplab view pyramid --mesh pyramid.stl --align`
     """
