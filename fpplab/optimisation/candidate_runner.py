@@ -70,6 +70,9 @@ class CandidateRunner:
     def front(self) -> list[MeasuredCandidate]:
         return self.ranking.front(self.trials)
 
+    def measured(self, candidate: Candidate) -> MeasuredCandidate | None:
+        return self._by_candidate.get(candidate)
+
     def is_feasible(self, point: Point) -> bool:
         # If not, the refusal is counted in `refused`.
         refused = self._candidate_to_measure(point).refused

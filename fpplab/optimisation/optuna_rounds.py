@@ -3,13 +3,16 @@
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Self
 
+import numpy as np
 import optuna
 from optuna.exceptions import ExperimentalWarning
+from optuna.study import StudyDirection
 from optuna.trial import TrialState
 
-from fpplab.optimisation.candidate import Point
+from fpplab.optimisation.candidate import Candidate, Point
 from fpplab.optimisation.candidate_runner import CandidateRunner
 from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.space import Parameter
@@ -27,41 +30,68 @@ def quiet_optuna() -> Iterator[None]:
         optuna.logging.set_verbosity(before)
 
 
-def make_optuna_study(runner: CandidateRunner, sampler: Any) -> Any:
-    """Make an optuna study in memory; the journal makes it unnecessary to store it."""
-    return optuna.create_study(
-        directions=["minimize"] * len(runner.space.problem.objectives), sampler=sampler
-    )
+@dataclass
+class OptunaRounds:
+    """A study in memory, which the journal makes it unnecessary to store, and what it was told."""
 
+    runner: CandidateRunner
+    study: Any
+    random: np.random.Generator
+    told: set[Candidate] = field(default_factory=set)
 
-def enqueue_points(study: Any, runner: CandidateRunner, points: Sequence[Point]) -> None:
-    for point in points:
-        named = zip(runner.space.parameters, point, strict=True)
-        study.enqueue_trial({p.name: int(v) if p.is_integer else v for p, v in named})
+    @classmethod
+    def of(cls, runner: CandidateRunner, sampler: Any) -> Self:
+        directions = [StudyDirection.MINIMIZE] * len(runner.space.problem.objectives)
+        study = optuna.create_study(directions=directions, sampler=sampler)
+        return cls(runner, study, np.random.default_rng(runner.space.problem.seeds[0]))
 
+    def enqueue(self, points: Sequence[Point]) -> None:
+        for point in points:
+            named = zip(self.runner.space.parameters, point, strict=True)
+            self.study.enqueue_trial({p.name: int(v) if p.is_integer else v for p, v in named})
 
-def measure_round(study: Any, runner: CandidateRunner, size: int) -> list[MeasuredCandidate]:
-    """Ask the sampler for points, measure them together, and tell it the results in the order asked."""
-    # A point that the rig or the study does not allow is reported as failed, and another one is asked for.
-    asked: list[tuple[Any, Point]] = []
-    for _ in range(50 * size):  # chosen: then the sampler counts as exhausted
-        trial = study.ask()
-        point = tuple(_suggest_value(trial, parameter) for parameter in runner.space.parameters)
-        if runner.is_feasible(point):
-            asked.append((trial, point))
+    def measure(self, size: int) -> list[MeasuredCandidate]:
+        """Measure as many candidates that are new together, and tell the sampler in the order asked."""
+        # Different points are one candidate where they differ in numbers of sets that are not shown.
+        asked: dict[Candidate, tuple[Any, Point]] = {}
+        for _ in range(10 * size):  # chosen: then the sampler counts as exhausted, and chance draws
+            self._ask(asked)
+            if len(asked) == size:
+                break
+        for _ in range(200 * size):  # chosen: some thousands, of which hardly any takes time
+            if len(asked) == size:
+                break
+            point = tuple(p.value_at(self.random.random()) for p in self.runner.space.parameters)
+            candidate = self.runner.space.candidate(point)
+            if candidate not in asked and not self.runner.measured(candidate):
+                self.enqueue([point])
+                self._ask(asked)
+        trials = self.runner.measure([point for _, point in asked.values()])
+        for (trial, _), measured in zip(asked.values(), trials, strict=True):
+            self._tell(trial, measured)
+        return trials
+
+    def _ask(self, asked: dict[Candidate, tuple[Any, Point]]) -> None:
+        """Ask for a point and keep it if it is new; tell at once what is known, and what is not allowed."""
+        trial = self.study.ask()
+        point = tuple(_suggest_value(trial, parameter) for parameter in self.runner.space.parameters)
+        candidate = self.runner.space.candidate(point)
+        known = self.runner.measured(candidate)
+        if known and candidate not in self.told:
+            self._tell(trial, known)
+        elif known or candidate in asked or not self.runner.is_feasible(point):
+            self.study.tell(trial, state=TrialState.FAIL)
         else:
-            study.tell(trial, state=TrialState.FAIL)
-        if len(asked) == size:
-            break
-    trials = runner.measure([point for _, point in asked])
-    for (trial, _), measured in zip(asked, trials, strict=True):
-        if measured.measured:
-            for limit, broken in runner.ranking.violations(measured).items():
-                trial.set_constraint(limit, broken)
-            study.tell(trial, runner.ranking.values(measured))
-        else:
-            study.tell(trial, state=TrialState.FAIL)
-    return trials
+            asked[candidate] = trial, point
+
+    def _tell(self, trial: Any, measured: MeasuredCandidate) -> None:
+        self.told.add(measured.candidate)
+        if not measured.measured:
+            self.study.tell(trial, state=TrialState.FAIL)
+            return
+        for limit, broken in self.runner.ranking.violations(measured).items():
+            trial.set_constraint(limit, broken)
+        self.study.tell(trial, self.runner.ranking.values(measured))
 
 
 def _suggest_value(optuna_trial: Any, parameter: Parameter) -> float:

@@ -20,8 +20,8 @@ class SearchScope(StrEnum):
 
 
 _GROUPS: dict[SearchScope, tuple[ParameterGroup, ...]] = {
-    SearchScope.PHASES: ("steps", "codes"),
-    SearchScope.STRIPES: ("stripes", "codes"),
+    SearchScope.PHASES: ("steps", "codes", "light"),
+    SearchScope.STRIPES: ("stripes", "codes", "light"),
     SearchScope.BASELINE: ("geometry",),
     SearchScope.PARETO: ("steps", "stripes", "codes", "geometry", "light"),
 }

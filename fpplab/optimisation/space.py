@@ -20,7 +20,7 @@ from fpplab.optimisation.scope import ParameterGroup
 from fpplab.patterns.fringe_sets import MAX_PATTERN_BITS, FringeSet, PatternSet
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.unwrapping import unwrapping_methods
-from fpplab.phase import check_unwrapping
+from fpplab.phase import check_codes, check_unwrapping
 
 DECIMALS = {"exposure_s": 6}
 """Decimals to which values are rounded, to keep plans readable, where they are not 3."""
@@ -131,6 +131,10 @@ class SearchSpace:
         for i, each in enumerate(candidate.fringes):
             if fault := each.fault(axis_length(self.limits.size, each.coded_axis or "x")):
                 yield f"'fringes[{i}].{fault}"
+        try:
+            check_codes(candidate.plan(self.problem.start), self.limits.size, "the candidate")
+        except ConfigError as error:
+            yield str(error)
         if constraints.images is not None and candidate.images > constraints.images:
             yield f"more than {constraints.images} images"
         yield from self.limits.refusals(candidate, constraints.pixels_per_period)

@@ -19,6 +19,7 @@ from fpplab.optimisation.methods.gradient import Gradient
 from fpplab.optimisation.methods.nsga2 import _noise_bound
 from fpplab.optimisation.ranking import CandidateRanking
 from fpplab.optimisation.scheduling import InProcessWorkers, measure_outcome
+from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.space import Parameter, SearchSpace
 from fpplab.optimisation.storage import Journal
 from fpplab.optimisation.study import Study
@@ -454,6 +455,30 @@ def test_bayesian_search_finds_the_stripes(tmp_path: Path) -> None:
         search(runner)
     assert runner.best.figures.surface_smcd_um < best_of(Formula(), 12) + 1.0
     assert runner.ranking.is_acceptable(runner.best)
+
+
+@pytest.mark.whole
+def test_bayesian_search_asks_until_candidates_are_new(tmp_path: Path) -> None:
+    """Numbers of sets that are not shown make 320 points 26 candidates."""
+    fringes = [{"axis": "x", "stripes": float(stripes), "steps": 4} for stripes in (1, 8, 64)]
+    alternative = {"fringes": fringes, "ranges": [{"steps": [3, 18]}, None, None]}
+    space = {"steps": [[3, 12], None, None], "alternatives": [alternative]}
+    runner = runner_of(tmp_path, space=space, method={"kind": "bayesian", "batch": 6}, budget=60)
+    assert search(runner) == "nothing new is asked"
+    assert len(runner.trials) == 26
+
+
+def test_codes_that_look_alike_are_refused_before_they_are_measured(tmp_path: Path) -> None:
+    alternative = {**GRAY, "ranges": [{"cell_px": [19, 38]}, None]}
+    runner = runner_of(tmp_path, space={"steps": [[3, 12], None, None], "alternatives": [alternative]})
+    assert runner.is_feasible((12, 1, 19))
+    assert not runner.is_feasible((12, 1, 38))  # two periods of the fringes
+    assert any("look alike" in reason for reason in runner.refused)
+
+
+@pytest.mark.parametrize("scope", [SearchScope.PHASES, SearchScope.STRIPES])
+def test_searches_of_one_objective_take_exposures(scope: SearchScope) -> None:
+    assert "light" in scope.groups
 
 
 @pytest.mark.whole

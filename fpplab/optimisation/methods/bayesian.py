@@ -20,21 +20,15 @@ class Bayesian(SearchMethod):
         # Imported here because optuna is slow to import, and studies are read without searching.
         import optuna
 
-        from fpplab.optimisation.optuna_rounds import (
-            enqueue_points,
-            make_optuna_study,
-            measure_round,
-            quiet_optuna,
-        )
+        from fpplab.optimisation.optuna_rounds import OptunaRounds, quiet_optuna
 
         with quiet_optuna():
             seed = runner.space.problem.seeds[0]
             sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True, constant_liar=True)
-            study = make_optuna_study(runner, sampler)
-            enqueue_points(study, runner, [runner.start.point])
+            rounds = OptunaRounds.of(runner, sampler)
+            rounds.enqueue([runner.start.point])
             while True:
-                measured_before = len(runner.trials)
-                trials = measure_round(study, runner, self.batch)
-                runner.epoch("batch", trials)
-                if len(runner.trials) == measured_before and measured_before > 1:
+                trials = rounds.measure(self.batch)
+                if not trials:
                     return "nothing new is asked"
+                runner.epoch("batch", trials)

@@ -56,23 +56,18 @@ class Nsga2(SearchMethod):
         # Imported here because optuna is slow to import, and studies are read without searching.
         import optuna
 
-        from fpplab.optimisation.optuna_rounds import (
-            enqueue_points,
-            make_optuna_study,
-            measure_round,
-            quiet_optuna,
-        )
+        from fpplab.optimisation.optuna_rounds import OptunaRounds, quiet_optuna
 
         first = _search_for_seed_points(runner, self.population)
         with quiet_optuna():
             seed = runner.space.problem.seeds[0]
             sampler = optuna.samplers.NSGAIISampler(population_size=self.population, seed=seed)
-            study = make_optuna_study(runner, sampler)
-            enqueue_points(study, runner, first)
-            runner.epoch("seeds", measure_round(study, runner, max(len(first), self.population)))
+            rounds = OptunaRounds.of(runner, sampler)
+            rounds.enqueue(first)
+            runner.epoch("seeds", rounds.measure(max(len(first), self.population)))
             unchanged, front = 0, runner.front
             while unchanged < self.max_unchanged:
-                runner.epoch("generation", measure_round(study, runner, self.population))
+                runner.epoch("generation", rounds.measure(self.population))
                 unchanged = unchanged + 1 if runner.front == front else 0
                 front = runner.front
         _refine_front(runner)
