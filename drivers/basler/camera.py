@@ -65,7 +65,7 @@ class BaslerCamera(GenicamCamera):
     """
 
     FORMATS: ClassVar = {8: ("Mono8",), 12: ("Mono12", PACKED), 16: ("Mono16",)}
-    RAW: ClassVar = named.RAW + BASLER_RAW
+    _raw = named.RAW + BASLER_RAW
     LIBRARY: ClassVar = "pylon"
     LIBRARY_ERRORS: ClassVar = (genicam.GenericException,)
 
@@ -78,7 +78,7 @@ class BaslerCamera(GenicamCamera):
 
     def load_features(self, path: Path) -> None:
         """Load all settings of a .pfs file; the camera must be configured again afterwards."""
-        # Settings that would alter the raw sensor values (`RAW`) are reset after loading. A file that is
+        # Settings that would alter the raw sensor values (`_raw`) are reset after loading. A file that is
         # refused may have been applied in part.
         self._need(State.IDLE, doing="load_features")
         text = config.read_text(path)

@@ -60,7 +60,7 @@ RAW_GAINS = (
 BASLER_RAW: RawSettings = (
     (("SequenceEnable",), False),
     (("ExposureTimeMode", "BslExposureTimeMode"), "Standard"),
-    (("BslImageCompressionMode", "ImageCompressionMode"), "Off"),
+    (("BslImageCompressionMode",), "Off"),
     (("DigitalShift",), 0),
     (("PgiMode",), "Off"),
     (("NoiseReduction", "NoiseReductionAbs"), 0.0),
@@ -81,7 +81,6 @@ BASLER_RAW: RawSettings = (
     (("CenterX",), False),
     (("CenterY",), False),
     (("TestImageSelector",), "Off"),
-    (("BalanceWhiteAuto",), "Off"),
     (("LightSourcePreset", "BslLightSourcePreset", "LightSourceSelector"), "Off"),
 )
 """Basler's own features and the values at which frames are the sensor's."""

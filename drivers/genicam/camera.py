@@ -30,8 +30,6 @@ class GenicamCamera(Camera):
 
     FORMATS: ClassVar[dict[int, tuple[str, ...]]]
     """GenICam pixel formats by bit depth, the preferred one first; a driver states those that it decodes."""
-    RAW: ClassVar[named.RawSettings] = named.RAW
-    """Settings for raw frames; a maker's driver adds its own."""
     LIBRARY: ClassVar[str]
     LIBRARY_ERRORS: ClassVar[tuple[type[Exception], ...]]
     """The library that gives the node map, and its exceptions, which become device errors."""
@@ -39,6 +37,10 @@ class GenicamCamera(Camera):
     _features: Features
     _gain: CameraGain
     _options: GenicamOptions
+    _raw: named.RawSettings = named.RAW
+    """Settings for raw frames; a maker's driver adds its own."""
+    _selected_raw = named.SELECTED_RAW
+    _default_line = "Line1"  # the maker's trigger input
 
     @abstractmethod
     def _is_gone(self) -> bool:
@@ -102,17 +104,23 @@ class GenicamCamera(Camera):
 
     def _make_raw(self) -> None:
         features = self._features
-        for channels in named.ALL_CHANNELS:
-            features.write_if_possible(channels, "All")
-        for feature, value in self.RAW:
+        features.accepted = self._options.accept_raw
+        for feature, value in self._raw:
             if feature != named.GAMMA or features.read(named.GAMMA_ENABLE) is not False:
                 features.ensure(feature, value, "open")
-        for colour in features.choices(named.BALANCE_SELECTOR):
-            features.write_if_possible(named.BALANCE_SELECTOR, colour)
-            features.ensure(named.BALANCE_RATIO, 1.0, "open")
-        for selector in self._features.choices(named.TRIGGER_SELECTOR):
-            self._features.write_if_possible(named.TRIGGER_SELECTOR, selector)
-            self._features.write_if_possible(named.TRIGGER_MODE, "Off")
+        for selector, feature, value in self._selected_raw:
+            for entry in features.choices(selector):
+                features.write_if_possible(selector, entry)
+                features.ensure(feature, value, "open")
+        self._gain.neutralise_digital()
+        for channels in named.ALL_CHANNELS:
+            available = features.choices(channels)
+            features.write_if_possible(channels, next((n for n in named.WHOLE if n in available), "All"))
+        for entry in features.choices(named.TRIGGER_SELECTOR):
+            features.write_if_possible(named.TRIGGER_SELECTOR, entry)
+            features.write_if_possible(named.TRIGGER_MODE, "Off")
+        if features.has(named.TRIGGER_SELECTOR):
+            self._select_trigger("open")
 
     def _apply_options(self) -> None:
         options, write = self._options, self._features.write
@@ -154,20 +162,35 @@ class GenicamCamera(Camera):
         # Basler documents that this is how long to wait after each trigger, and that an earlier one is
         # ignored.
         rate_hz = self._features.read(named.RESULTING_HZ)
-        return 1.0 / rate_hz if rate_hz else None
+        if not rate_hz:
+            return None
+        # Without overlap the camera takes no trigger before the frame is read out, for which the rate allows.
+        apart = self._features.read(named.TRIGGER_OVERLAP) == "Off"
+        return 1.0 / float(rate_hz) + (self._exposure_s() if apart else 0.0)
+
+    def _exposure_s(self) -> float:
+        return float(self._features.read(named.EXPOSURE_US)) / US_PER_S
 
     def _triggers(self) -> tuple[Trigger, ...]:
         """List the supported triggers: none if the camera cannot tell when it is ready for its first one."""
         if not self._can_be_triggered():
             return ()
         sources = self._features.choices(named.TRIGGER_SOURCE)
-        names: dict[Trigger, str] = {"software": "Software", "hardware": self._options.trigger.line}
+        names: dict[Trigger, str] = {"software": "Software", "hardware": self._line}
+        if self._options.trigger.line is not None and self._line not in sources:
+            raise SettingError(
+                self.name, "open", f"trigger.line is {self._line}", f"the camera has {', '.join(sources)}"
+            )
         return tuple(trigger for trigger, source in names.items() if source in sources)
+
+    @property
+    def _line(self) -> str:
+        return self._options.trigger.line or self._default_line
 
     def _row_times_s(self) -> tuple[float, float]:
         """Return the delay in s from the first to the last row's exposure, and that of their ends alone."""
         shutter = self._features.read(named.SHUTTER) or self._options.shutter
-        if shutter in ("Global", "global"):
+        if shutter in ("global", *SHUTTERS["global"]):
             return 0.0, 0.0
         readout_us = self._features.read(named.READOUT_US)
         if readout_us is None and shutter is not None:
@@ -210,9 +233,9 @@ class GenicamCamera(Camera):
     def _choose_trigger(self, trigger: Trigger) -> None:
         features, line = self._features, self._options.trigger
         hardware = trigger == "hardware"
-        features.write(named.TRIGGER_SELECTOR, "FrameStart", "arm")
+        self._select_trigger("arm")
         features.write(named.TRIGGER_MODE, "On", "arm")
-        features.write(named.TRIGGER_SOURCE, line.line if hardware else "Software", "arm")
+        features.write(named.TRIGGER_SOURCE, self._line if hardware else "Software", "arm")
         if hardware:
             features.write(named.TRIGGER_EDGE, EDGES[line.edge], "arm")
             self._set_up_line(line)
@@ -220,12 +243,22 @@ class GenicamCamera(Camera):
         if delay_us or features.has(named.TRIGGER_DELAY_US):
             features.write(named.TRIGGER_DELAY_US, delay_us, "arm", tolerance=1.0)
 
+    def _select_trigger(self, operation: str) -> None:
+        """Select the trigger of single frames, and let it overlap the readout where the camera can."""
+        features, available = self._features, self._features.choices(named.TRIGGER_SELECTOR)
+        names = [name for name in named.FRAME_TRIGGERS if name in available]
+        features.write(named.TRIGGER_SELECTOR, names[0] if names else named.FRAME_TRIGGERS[0], operation)
+        overlaps = features.choices(named.TRIGGER_OVERLAP)
+        features.write_if_possible(
+            named.TRIGGER_OVERLAP, next((name for name in named.OVERLAPS if name in overlaps), "Off")
+        )
+
     def _set_up_line(self, line: TriggerLine) -> None:
         """Make the line an input that is neither inverted nor slower than stated."""
         features = self._features
         if not features.has(named.LINE_SELECTOR):
             return
-        features.write(named.LINE_SELECTOR, line.line, "arm")
+        features.write(named.LINE_SELECTOR, self._line, "arm")
         features.ensure(named.LINE_MODE, "Input", "arm")
         features.ensure(named.LINE_INVERTER, False, "arm")
         if line.debounce_us or features.has(named.LINE_DEBOUNCER_US):

@@ -7,11 +7,13 @@ enumeration has `GetSettableValues`, a switch has no `GetMin`, and integers are 
 their minimum.
 """
 
+import logging
 from typing import Any
 
 from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.core.logs import log_traffic
 
+_log = logging.getLogger(__name__)
 FeatureNames = tuple[str, ...]  # names of one feature, in order of preference
 
 
@@ -21,6 +23,9 @@ class Features:
     def __init__(self, device: str, camera: Any) -> None:
         # The node map is fetched for each access: a stored one would answer for an unplugged camera.
         self._device, self._camera = device, camera
+        self.accepted: tuple[
+            str, ...
+        ] = ()  # names of features that may keep another value than `ensure` sets
 
     def has(self, feature: FeatureNames) -> bool:
         """Tell whether the camera has a feature in its present mode."""
@@ -69,13 +74,17 @@ class Features:
         """Set a feature where the camera has it, and verify it."""
         self.write_if_possible(feature, value)
         name, read_back = self._named_node(feature)[0], self.read(feature)
-        if read_back is not None and read_back != value:
-            raise SettingError(
-                self._device,
-                operation,
-                f"{name} is {_shown(read_back)} and cannot be set to {_shown(value)}",
-                "frames would not be the sensor's own values; correct it in pylon Viewer",
+        if read_back is None or read_back == value:
+            return
+        kept = f"{name} is {_shown(read_back)} and cannot be set to {_shown(value)}"
+        if name not in self.accepted:
+            remedy = (
+                f"correct it in the maker's viewer, or accept it by `accept_raw: [{name}]` in the rig file"
             )
+            raise SettingError(
+                self._device, operation, kept, f"frames would not be the sensor's own values; {remedy}"
+            )
+        _log.warning("%s: %s; the rig file accepts it", self._device, kept)
 
     def write_if_possible(self, feature: FeatureNames, value: Any) -> None:
         """Set a feature where the camera takes the value; otherwise leave it unchanged."""

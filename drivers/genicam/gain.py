@@ -8,7 +8,7 @@ counts as 0 dB.
 import math
 
 from drivers.genicam.features import Features
-from drivers.genicam.names import GAIN_DB, GAIN_RAW
+from drivers.genicam.names import GAIN_DB, GAIN_RAW, GAIN_SELECTOR
 from drivers.genicam.options import RawGain
 
 
@@ -19,6 +19,15 @@ class CameraGain:
         self._features, self._conversion = features, conversion
         self._in_db = in_db and features.has(GAIN_DB)
         self._own = GAIN_RAW if in_db else GAIN_DB
+
+    def neutralise_digital(self) -> None:
+        """Set digital gains to a factor of 1, where the camera has them beside the sensor's own."""
+        for entry in self._features.choices(GAIN_SELECTOR):
+            if entry.startswith("Digital") and self._features.has(GAIN_DB):
+                self._features.write_if_possible(GAIN_SELECTOR, entry)
+                known = self._in_db or self._conversion is not None
+                neutral = (0.0 if self._in_db else 1.0) if known else self._features.limits(GAIN_DB)[0]
+                self._features.ensure(GAIN_DB, neutral, "open")
 
     def limits_db(self) -> tuple[float, float]:
         if self._in_db:

@@ -20,7 +20,11 @@ RESULTING_HZ: FeatureNames = (
     "ResultingFrameRate",
     "BslResultingAcquisitionFrameRate",
     "ResultingFrameRateAbs",
+    "AcquisitionResultingFrameRate",
+    "CurrentAcquisitionFrameRate",
+    "AcquisitionFrameRateLimit",
 )
+FRAME_RATE_HZ: FeatureNames = ("AcquisitionFrameRate",)
 USB_SPEED: FeatureNames = ("BslUSBSpeedMode",)
 PACKET_BYTES: FeatureNames = ("GevSCPSPacketSize",)
 PACKET_DELAY_TICKS: FeatureNames = ("GevSCPD",)
@@ -29,6 +33,11 @@ STATUS: FeatureNames = ("AcquisitionStatus",)
 SOFTWARE_TRIGGER: FeatureNames = ("TriggerSoftware",)
 TICKS_PER_S: FeatureNames = ("GevTimestampTickFrequency",)
 TRIGGER_SELECTOR: FeatureNames = ("TriggerSelector",)
+FRAME_TRIGGERS = ("FrameStart", "ExposureStart")
+"""Values of `TRIGGER_SELECTOR` whose trigger starts the exposure of one frame, the preferred one first."""
+TRIGGER_OVERLAP: FeatureNames = ("TriggerOverlap",)
+OVERLAPS = ("ReadOut", "PreviousFrame")
+"""Values of `TRIGGER_OVERLAP` at which a trigger counts while the frame before is read out."""
 TRIGGER_MODE: FeatureNames = ("TriggerMode",)
 TRIGGER_SOURCE: FeatureNames = ("TriggerSource",)
 TRIGGER_EDGE: FeatureNames = ("TriggerActivation",)
@@ -37,13 +46,13 @@ LINE_SELECTOR: FeatureNames = ("LineSelector",)
 LINE_MODE: FeatureNames = ("LineMode",)
 LINE_INVERTER: FeatureNames = ("LineInverter",)
 LINE_DEBOUNCER_US: FeatureNames = ("LineDebouncerTime", "LineDebouncerTimeAbs")
-BALANCE_SELECTOR: FeatureNames = ("BalanceRatioSelector",)
-BALANCE_RATIO: FeatureNames = ("BalanceRatio", "BalanceRatioAbs")
+GAIN_SELECTOR: FeatureNames = ("GainSelector",)
 GAMMA: FeatureNames = ("Gamma",)
 GAMMA_ENABLE: FeatureNames = ("GammaEnable",)
 
-ALL_CHANNELS: tuple[FeatureNames, ...] = (("GainSelector",), ("BlackLevelSelector",))
-"""Selectors of what gain and black level apply to; "All" where the camera has it."""
+ALL_CHANNELS: tuple[FeatureNames, ...] = (GAIN_SELECTOR, ("BlackLevelSelector",))
+"""Selectors of what gain and black level apply to; the first of `WHOLE` that the camera has."""
+WHOLE = ("All", "AnalogAll", "DigitalAll")
 
 RawSettings = tuple[tuple[FeatureNames, object], ...]  # features and the values that they must have
 
@@ -55,9 +64,11 @@ RAW: RawSettings = (
     (("ExposureAuto",), "Off"),
     (("GainAuto",), "Off"),
     (("BlackLevelAuto",), "Off"),
+    (("BalanceWhiteAuto",), "Off"),
     (GAMMA_ENABLE, False),
     (GAMMA, 1.0),
     (("LUTEnable",), False),
+    (("ImageCompressionMode",), "Off"),
     (("BinningHorizontal",), 1),
     (("BinningVertical",), 1),
     (("DecimationHorizontal",), 1),
@@ -71,3 +82,9 @@ RAW: RawSettings = (
 
 A camera may lack any of them; those that it has must have these values. Makers add their own.
 """
+
+SELECTED_RAW: tuple[tuple[FeatureNames, FeatureNames, object], ...] = (
+    (("BalanceRatioSelector",), ("BalanceRatio", "BalanceRatioAbs"), 1.0),
+    (("LUTSelector",), ("LUTEnable",), False),
+)
+"""The same for features that have a value for each entry of a selector: selector, feature and value."""

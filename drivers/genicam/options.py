@@ -8,9 +8,9 @@ from fpplab.core.config import Document
 
 EDGES = {"rising": "RisingEdge", "falling": "FallingEdge"}
 SHUTTERS = {
-    "rolling": ("Rolling",),
-    "global_reset": ("GlobalReset", "GlobalResetRelease"),
-    "global": ("Global",),
+    "rolling": ("Rolling", "RollingShutter"),
+    "global_reset": ("GlobalReset", "GlobalResetRelease", "GlobalResetShutter"),
+    "global": ("Global", "GlobalShutter"),
 }
 """The names of a choice in GenICam, those of SFNC 2 first."""
 
@@ -20,8 +20,8 @@ NotNegativeCount = Annotated[int, Field(ge=0)]
 class TriggerLine(Document):
     """Input line that receives the hardware trigger."""
 
-    line: str = "Line1"
-    """GenICam name of the line, such as Line1."""
+    line: str | None = None
+    """GenICam name of the line, such as Line1; by default the input of the maker's cameras."""
     edge: Literal["rising", "falling"] = "rising"
     """Edge of the pulse that starts an exposure."""
     delay_us: Annotated[float, Field(ge=0)] = 0.0
@@ -62,6 +62,9 @@ class GenicamOptions(Document):
     only, which counts as 0 dB, unless the driver knows the conversion of its model."""
     shutter: Literal["rolling", "global_reset", "global"] | None = None
     """Shutter mode to set; for a camera whose shutter cannot be switched, the one that it has."""
+    accept_raw: tuple[str, ...] = ()
+    """Names of features that alter grey levels and that this camera does not switch off: they are accepted as
+    they are."""
     packed: bool = False
     """Whether 12-bit frames are transferred packed, as Mono12p or BayerRG12p: three quarters of the data."""
     trigger: TriggerLine = TriggerLine()

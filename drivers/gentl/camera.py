@@ -1,6 +1,6 @@
 """Any GenICam camera behind the interface of `fpplab.devices`, through a GenTL producer.
 
-The camera must have an exposure that can be set, `TriggerSelector` with `FrameStart`, and monochrome pixels.
+The camera must have an exposure that can be set, a trigger of single frames, and Mono or Bayer pixels.
 """
 
 import time
@@ -14,9 +14,10 @@ from drivers.genicam import names as named
 from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
-from drivers.genicam.options import GenicamOptions
+from drivers.genicam.options import GenicamOptions, RawGain
 from drivers.genicam.pixels import PACKED
-from drivers.gentl.producer import SPARE_BUFFERS, GentlFrame, GentlProducer
+from drivers.gentl.makers import maker_of
+from drivers.gentl.producer import SPARE_BUFFERS, GentlFrame, GentlProducer, IncompleteBufferError
 from fpplab.core import config
 from fpplab.core.errors import CapabilityError, DisconnectedError, FrameLossError
 from fpplab.devices import CameraCaps, DeviceInfo, Frame, Trigger
@@ -62,8 +63,12 @@ class GentlCamera(GenicamCamera):
         self._end = self._producer.attach(connected[serial])
         self._features = Features(self.name, self._end)
         self._need_exposure()
-        in_db = self._features.unit(named.GAIN_DB) in (None, "dB")
-        self._gain = CameraGain(self._features, self._options.raw_gain, in_db)
+        self._maker = maker = maker_of(self._end.vendor)
+        self._raw, self._selected_raw = named.RAW + maker.raw, maker.selected_raw
+        self._default_line = maker.line
+        in_db = self._features.unit(named.GAIN_DB) in (None, "dB") and not maker.gain_is_factor
+        factor = RawGain(unity=1.0) if maker.gain_is_factor else None
+        self._gain = CameraGain(self._features, self._options.raw_gain or factor, in_db)
         self._set_up()
 
     def _need_exposure(self) -> None:
@@ -101,6 +106,12 @@ class GentlCamera(GenicamCamera):
             )
         return caps
 
+    def _period_s(self) -> float | None:
+        if not self._maker.rate_is_limit or not self._features.has(named.FRAME_RATE_HZ):
+            return super()._period_s()
+        # Nothing says that such a camera takes a trigger while it reads the frame before.
+        return self._exposure_s() + 1.0 / self._features.limits(named.FRAME_RATE_HZ)[1]
+
     def _arm(self, n: int, trigger: Trigger) -> None:
         self._choose_trigger(trigger)
         self._trigger, self._first = trigger, self._end.first_number
@@ -113,7 +124,15 @@ class GentlCamera(GenicamCamera):
             self._await_ready("read")
             self._features.execute(named.SOFTWARE_TRIGGER, "read")
             self._ready_s = time.monotonic() + (self._present_caps.period_s or 0.0)
-        frame: GentlFrame | None = self._end.fetch(timeout_s)
+        try:
+            frame: GentlFrame | None = self._end.fetch(timeout_s)
+        except IncompleteBufferError as error:
+            raise FrameLossError(
+                self.name,
+                "read",
+                f"frame {self._taken} is damaged: only a part of its data came",
+                "check the cable, and the USB controller or network; take the frames again",
+            ) from error
         host_time_s = time.time()
         if frame is None:
             self._check_connected("read")

@@ -7,7 +7,6 @@ reported is None here.
 from __future__ import annotations
 
 import signal
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from genicam import gentl
-from harvesters.core import Harvester
+from harvesters.core import Callback, Harvester
 from harvesters.util.pfnc import dict_by_ints
 
 from drivers.genicam.pixels import image_from
@@ -64,14 +63,36 @@ class GentlProducer:
         self._harvester.reset()
 
 
+class IncompleteBufferError(Exception):
+    """Data of a frame were lost on the way."""
+
+
+class IncompleteBuffers(Callback):  # type: ignore[misc] # harvesters has no types
+    """Called by harvesters, which itself only logs that it dropped an incomplete buffer."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._any = False
+
+    def emit(self, context: Any) -> None:
+        self._any = True
+
+    def forgotten(self) -> bool:
+        """Tell whether there was one since the last call."""
+        was, self._any = self._any, False
+        return was
+
+
 class GentlEnd:
     """An open camera."""
 
     def __init__(self, acquirer: Any, info: Any) -> None:
-        self._acquirer = acquirer
+        self._acquirer, self._incomplete = acquirer, IncompleteBuffers()
+        acquirer.add_callback(acquirer.Events.INCOMPLETE_BUFFER, self._incomplete)
         self.model = " ".join(
             filter(None, (reported_property(info, "vendor"), reported_property(info, "model")))
         )
+        self.vendor = reported_property(info, "vendor")
         self.link = f"GenTL {reported_property(info, 'tl_type')}"
         self.first_number = FIRST_FRAME.get(reported_property(info, "tl_type"))
 
@@ -80,22 +101,19 @@ class GentlEnd:
 
     def start(self, frames: int) -> None:
         self._acquirer.num_buffers = frames + SPARE_BUFFERS
+        self._incomplete.forgotten()
         self._acquirer.start()
 
     def fetch(self, timeout_s: float) -> GentlFrame | None:
-        """Wait for the next complete frame; incomplete ones are dropped, and missing from the count."""
-        deadline_s = time.monotonic() + timeout_s
-        while True:
-            left_s = deadline_s - time.monotonic()
-            try:
-                buffer = self._acquirer.fetch(timeout=max(left_s, 1e-3), is_raw=True)
-            except gentl.TimeoutException:
-                return None
-            if buffer is not None:
-                with _returned(buffer):
-                    return GentlFrame(self._image(buffer), buffer.frame_id, _time_s(buffer))
-            if left_s <= 0.0:
-                return None
+        """Wait for the next frame; raise `IncompleteBufferError` as soon as one comes incomplete."""
+        # Its `fetch` would drop an incomplete buffer, and wait for the next one for as long again.
+        buffer = self._acquirer.try_fetch(timeout=max(timeout_s, 1e-3), is_raw=True)
+        if buffer is None:
+            if self._incomplete.forgotten():
+                raise IncompleteBufferError
+            return None
+        with _returned(buffer):
+            return GentlFrame(self._image(buffer), buffer.frame_id, _time_s(buffer))
 
     def _image(self, buffer: Any) -> Image:
         """Decode a buffer here: harvesters keeps the padding of rows, and unpacks across it."""

@@ -14,6 +14,7 @@ from genicam import genapi
 
 from drivers.gentl.nodes import GentlNodeMap
 from drivers.gentl.producer import GentlFrame
+from fpplab.core.conventions import Image
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from tests.conformance.reference import CAMERA_SIZE, ReferenceBench, sensor_image
@@ -50,7 +51,7 @@ SFNC: dict[str, Node] = {
 class ScriptedEnd:
     """An open camera, in place of `drivers.gentl.producer.GentlEnd`."""
 
-    model, link, first_number = "maker scripted", "GenTL GEV", 1
+    model, vendor, link, first_number, line = "maker scripted", "maker", "GenTL GEV", 1, "Line1"
 
     def __init__(self, bench: ReferenceBench, nodes: dict[str, Node] = SFNC) -> None:
         names = "".join(f"<pFeature>{name}</pFeature>" for name in nodes)
@@ -84,17 +85,27 @@ class ScriptedEnd:
 
     def trigger(self, source: str, pattern: Pattern | None) -> None:
         """Expose, if this is what the camera waits for."""
-        waits = (self.value("TriggerSelector"), self.value("TriggerMode"), self.value("TriggerSource"))
-        if waits != ("FrameStart", "On", source) or not self._is_ready():
+        if not self._waits_for(source) or not self._is_ready():
             self.lost += 1
             return
         self.triggers += 1
-        bits = int(self.value("PixelFormat").removeprefix("Mono"))
-        settings = CameraSettings(self.value("ExposureTime") / 1e6, self.value("Gain"), bits)
-        image = sensor_image(self._bench, pattern, settings)
+        image = self._exposed(pattern)
         left, top, width, height = (self.value(n) for n in ("OffsetX", "OffsetY", "Width", "Height"))
         image = image[top : top + height, left : left + width].copy()
         self._seen.append(GentlFrame(image, self.triggers, time.monotonic()))
+
+    def _waits_for(self, source: str) -> bool:
+        names = ("TriggerSelector", "TriggerMode", "TriggerSource")
+        return tuple(self.value(name) for name in names) == ("FrameStart", "On", source)
+
+    def _exposed(self, pattern: Pattern | None) -> Image:
+        bits = int("".join(filter(str.isdigit, self.value("PixelFormat"))))
+        return sensor_image(
+            self._bench, pattern, CameraSettings(self.value("ExposureTime") / 1e6, self._gain_db(), bits)
+        )
+
+    def _gain_db(self) -> float:
+        return float(self.value("Gain"))
 
     def start(self, frames: int) -> None:
         assert not self.started, "it was started twice"
@@ -103,7 +114,7 @@ class ScriptedEnd:
 
     def fetch(self, timeout_s: float) -> GentlFrame | None:
         while self._bench.pulses:
-            self.trigger("Line1", self._bench.pulses.popleft())
+            self.trigger(self.line, self._bench.pulses.popleft())
         while self._bench.frames_to_lose and self._seen:
             self._bench.frames_to_lose -= 1
             self._seen.popleft()

@@ -11,9 +11,10 @@ import genicam
 import numpy as np
 import pytest
 from genicam import gentl
+from harvesters.core import Callback, ImageAcquirer
 
 from drivers.gentl import GentlCamera
-from drivers.gentl.producer import GentlEnd, GentlFrame, GentlProducer
+from drivers.gentl.producer import GentlEnd, GentlFrame, GentlProducer, IncompleteBufferError
 from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
@@ -98,7 +99,26 @@ def test_of_a_layer_that_begins_as_it_likes_the_first_number_counts(opened: Open
 @pytest.mark.parametrize(("layer", "first"), [("U3V", 0), ("GEV", 1), ("Custom", None)])
 def test_layers_begin_to_count_differently(layer: str, first: int | None) -> None:
     info = SimpleNamespace(vendor="maker", model="one", tl_type=layer)
-    assert GentlEnd(None, info).first_number == first
+    assert GentlEnd(Acquirer(), info).first_number == first
+
+
+class Acquirer:
+    """An `ImageAcquirer` of harvesters, whose buffers come incomplete."""
+
+    Events = ImageAcquirer.Events
+
+    def add_callback(self, event: Any, callback: Callback) -> None:
+        assert event == self.Events.INCOMPLETE_BUFFER
+        self._callback = callback
+
+    def try_fetch(self, timeout: float, is_raw: bool) -> None:
+        self._callback.emit(self)
+
+
+def test_an_incomplete_buffer_is_told_from_none() -> None:
+    end = GentlEnd(Acquirer(), SimpleNamespace(vendor="maker", model="one", tl_type="GEV"))
+    with pytest.raises(IncompleteBufferError):
+        end.fetch(60.0)
 
 
 def test_pixels_that_are_left_justified_are_refused(opened: Open) -> None:
