@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from yaml.representer import SafeRepresenter
 
 from fpplab.core.checksums import check_recorded
 from fpplab.core.errors import ConfigError
@@ -38,11 +39,11 @@ D = TypeVar("D", bound=Document)
 Positive = Annotated[float, Field(gt=0)]  # a number above zero
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
     """Quotes what would be read back as something else: a serial number 21e7, an odd line break."""
 
 
-def _word(dumper: _Dumper, word: str) -> yaml.ScalarNode:
+def _word(dumper: SafeRepresenter, word: str) -> yaml.ScalarNode:
     odd = any(mark in word for mark in "\x85\u2028\u2029\ufeff")
     return dumper.represent_scalar("tag:yaml.org,2002:str", word, style='"' if odd else None)
 

@@ -3,9 +3,11 @@
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
+from fpplab.core.remembered import remembered
 from fpplab.diagnosis.limits import LimitsSection, PercentileLimit
 from fpplab.diagnosis.sample import FrameSample
 
@@ -23,6 +25,7 @@ class BrightnessLimits(LimitsSection):
     """Share of the pixels, in %, that are darker than the crests of the fringes. Chosen."""
 
 
+@remembered
 def frame_levels(sample: FrameSample) -> Floats:
     """Compute the brightness of each frame at the crests of its fringes, where the scene is bright."""
     # The mean would depend on the phase, where the camera sees few stripes.
@@ -33,13 +36,12 @@ def frame_levels(sample: FrameSample) -> Floats:
     return np.asarray(np.percentile(sample.spread[:, bright], percentile, axis=1))
 
 
-def harmonic_waves(angles: Floats) -> Iterator[Floats]:
-    """Give those harmonics of the phase that the fit of a sinusoid to N images leaves."""
-    # angles (N, ...) rad; returns (N, ...)
-    turn = np.exp(1j * angles)
+def harmonic_waves(turn: NDArray[np.complex128]) -> Iterator[Floats]:
+    """Give those harmonics of the phase, exp(iφ) in N images, that the fit of a sinusoid to them leaves."""
+    # turn (N, ...); returns (N, ...)
     harmonic, reached = turn, 1
     for order in HARMONICS:
-        if not 1 < order % len(angles) < len(angles) - 1:
+        if not 1 < order % len(turn) < len(turn) - 1:
             continue
         for _ in range(order - reached):
             harmonic = harmonic * turn

@@ -7,6 +7,7 @@ import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import TWO_PI, Floats, Mask, axis_length
+from fpplab.core.remembered import remembered
 from fpplab.diagnosis.finding import FaultCause, Finding
 from fpplab.diagnosis.limits import CountLimit, LimitsSection
 from fpplab.diagnosis.sample import FrameSample
@@ -31,8 +32,10 @@ def phase_unevenness(phase: Floats, used: Mask) -> Floats:
     return np.asarray(np.max([np.abs(turn.sum(axis=-1)) / used.sum(axis=-1) for turn in turns], axis=0))
 
 
-def phase_deviations(sample: FrameSample) -> Iterator[tuple[int, Floats, Floats]]:
+@remembered
+def phase_deviations(sample: FrameSample) -> list[tuple[int, Floats, Floats]]:
     """Compare the phases of wide sets with those that the coordinate gives, in which the finest set rules."""
+    deviations = []
     recording, limits = sample.recording, sample.limits.of(FringeShapeLimits)
     for k, fringe in enumerate(recording.plan.fringes):
         finest = recording.plan.fringes[recording.plan.finest_set(fringe.axis)]
@@ -46,7 +49,8 @@ def phase_deviations(sample: FrameSample) -> Iterator[tuple[int, Floats, Floats]
             continue
         expected = np.where(used, TWO_PI * fringe.stripes * position, np.nan)
         phasors = np.exp(1j * (sample.fits[k].phase - expected))
-        yield k, expected, np.angle(phasors * np.conj(phasors[used].mean()))
+        deviations.append((k, expected, np.angle(phasors * np.conj(phasors[used].mean()))))
+    return deviations
 
 
 def phase_ripples(sample: FrameSample) -> Iterator[float]:

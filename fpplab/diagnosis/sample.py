@@ -8,6 +8,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
@@ -196,17 +197,34 @@ class FrameSample:
 
     def estimate_pixels_seeing_fringes(self, points: Cloud | Decoded) -> float:
         """Count the pixels of the whole image that see the projector's fringes."""
-        others = self.lit.copy()
+        others = self.lit
         if isinstance(points, Decoded):
-            others &= ~points.valid[:: self.step, :: self.step]
-            return int(points.valid.sum()) + float(others.mean()) * self.recording.frames[0].size
-        if points.pixels is not None:
-            sampled = points.pixels[points.pixels[:, 0] % self.step == 0]  # few are left for the other axis
-            u, v = sampled[sampled[:, 1] % self.step == 0].T // self.step
-            others[v, u] = False
-        return len(points) + float(others.mean()) * self.recording.frames[0].size
+            count, others = int(points.valid.sum()), others & ~points.valid[:: self.step, :: self.step]
+        else:
+            count = len(points)
+            if points.pixels is not None:
+                others = others & (self.numbers_of(points.pixels) < 0)
+        return count + float(others.mean()) * self.recording.frames[0].size
+
+    def numbers_of(self, pixels: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Give the number of the point at each pixel spread over the image, -1 where there is none."""
+        # pixels (N, 2); returns (rows, columns)
+        numbers = np.full(self.spread.shape[1:], -1, np.int32)
+        _enter_numbers(pixels, self.step, numbers)
+        return numbers
 
     @cached_property
     def measured(self) -> Mask:
         """(rows, columns) which of them are lit and not saturated."""
         return np.asarray(self.lit & ~self.saturated)
+
+
+@njit(cache=True)
+def _enter_numbers(pixels: NDArray[np.int32], step: int, numbers: NDArray[np.int32]) -> None:
+    row, is_sampled = -1, False
+    for i in range(len(pixels)):
+        u, v = pixels[i, 0], pixels[i, 1]
+        if v != row:
+            row, is_sampled = v, v % step == 0
+        if is_sampled and u % step == 0:
+            numbers[v // step, u // step] = i

@@ -258,8 +258,16 @@ class Recording:
         ndarray of uint8, (height, width)
             8-bit grey levels.
         """
-        sets = range(len(self.plan.sets))
-        frames = self._evenly_lit() if index is None else self.of_set(sets[index])
+        if index is None:
+            return self._evenly_lit_mean
+        index = range(len(self.plan.sets))[index]
+        return self._mean_of(self.of_set(index), index)
+
+    @cached_property
+    def _evenly_lit_mean(self) -> NDArray[np.uint8]:
+        return self._mean_of(self._evenly_lit(), None)
+
+    def _mean_of(self, frames: Sequence[Image], index: int | None) -> NDArray[np.uint8]:
         if self.bayer:
             even = self.light(mean_of(frames, self.grey))
             return np.asarray(np.rint(np.clip(even, 0.0, 255.0)), np.uint8)
@@ -272,7 +280,7 @@ class Recording:
             for frame in frames:
                 _add(frame[rows], total)
             if self.merged:
-                total /= self._scale(None if index is None else sets[index])[rows]
+                total /= self._scale(index)[rows]
             _round(total, divisor, mean[rows])
 
         with ThreadPoolExecutor() as threads:
@@ -355,6 +363,8 @@ class Recording:
         _check_depth(self)
         self.plan.check_projector(self.projector_size, self.name)
         _check_known(self)
+        if all(type(f) is np.ndarray and f.flags.c_contiguous and f.dtype.isnative for f in self.frames):
+            return self  # with what is remembered of it
         native = [cast(Image, np.ascontiguousarray(f, f.dtype.newbyteorder("="))) for f in self.frames]
         return replace(self, frames=native)
 

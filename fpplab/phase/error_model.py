@@ -26,6 +26,7 @@ from fpplab.core.conventions import (
     raw_per_grey,
 )
 from fpplab.core.errors import ConfigError
+from fpplab.core.remembered import remembered
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import MergedLevels, Recording
 from fpplab.patterns.unwrapping import SyntheticWavelength
@@ -94,6 +95,7 @@ def misfit_limits(errors: CommonErrors) -> tuple[float, float, float]:
     )
 
 
+@remembered
 def error_model_of(recording: Recording) -> ErrorModel:
     plan, samples = recording.plan, _sample_pixels(recording)
     usable = _find_usable_pixels(samples, full_scale(recording.bits))

@@ -12,7 +12,7 @@ from fpplab.diagnosis.geometry import GeometryCheck, GeometryDoubt
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.phase import Decoded
 from fpplab.pipeline.marks import CONFIRM, MarksVerdict, SeenMarks, marks_verdict
-from fpplab.reconstruction.hidden_changes import hidden_changes
+from fpplab.reconstruction.hidden_changes import hidden_changes, sampled
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.sessions.origin import check_region, foreign_calibration, taken_at
 from fpplab.sessions.session import Session
@@ -42,7 +42,7 @@ def geometry_check(
         noticed_px = max_epipolar_px(limits, decoded)
         changes = hidden_changes(cloud, calibration, noise, noticed_px)
         sigma_mm = cloud.sigma_calibration_mm
-        certain_um = 0.0 if sigma_mm is None else 1e3 * float(np.median(sigma_mm))
+        certain_um = 0.0 if sigma_mm is None else 1e3 * float(np.median(sampled(sigma_mm)))
         costs = [(change.meaning, change.displacement_um) for change in changes[:SHOWN_CHANGES]]
         hidden = tuple((what, um) for what, um in costs if um > certain_um)
     seen = marks is not None and marks.verified

@@ -30,7 +30,7 @@ from fpplab.diagnosis.geometry import GeometryDoubt, SeenChange, in_words
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.depth_range import decoding_bounds
-from fpplab.reconstruction.hidden_changes import sampled_points
+from fpplab.reconstruction.hidden_changes import sampled
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 
@@ -159,7 +159,7 @@ class _Cost:
 def _costs(
     cloud: Cloud, calibration: Calibration, noise: CoordinateNoise, compared: MarksComparison
 ) -> list[_Cost]:
-    points = sampled_points(cloud)
+    points = sampled(cloud.points)
     modes = np.column_stack([compared.change, covariance_root(compared.covariance)])
     moved = (calibration_jacobian(points, calibration, noise) @ modes).reshape(-1, modes.shape[1])
     stated = displacements_by_mode(points, calibration, noise).reshape(len(moved), -1)

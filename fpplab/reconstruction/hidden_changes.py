@@ -7,6 +7,7 @@ unknown shape. Its size is a normal variable, conditioned on how near the points
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.calibration.changes import changed_rigs, parameter_vector
 from fpplab.calibration.displacements import CoordinateNoise, calibration_jacobian, projection_derivatives
@@ -24,18 +25,17 @@ class HiddenChange:
     displacement_um: float  # RMS over the points, of as much of it as can have happened unseen
 
 
-def sampled_points(cloud: Cloud) -> Floats:
-    """Take some of a cloud's points, which suffice for root mean squares of what varies slowly."""
-    # returns (N, 3) mm
-    step = max(1, len(cloud) // LIMITS.hidden_change_points)
-    return cloud.points[::step].astype(np.float64)
+def sampled(values: NDArray[np.float32]) -> Floats:
+    """Take some of a cloud's values, which suffice for means and medians of what varies slowly."""
+    # values (points, ...)
+    return values[:: max(1, len(values) // LIMITS.hidden_change_points)].astype(np.float64)
 
 
 def hidden_changes(
     cloud: Cloud, calibration: Calibration, noise: CoordinateNoise, epipolar_limit_px: float
 ) -> tuple[HiddenChange, ...]:
     # `epipolar_limit_px` is the systematic distance from the epipolar lines at which a change is noticed.
-    points = sampled_points(cloud)
+    points = sampled(cloud.points)
     changed = changed_rigs(calibration)
     changes = np.stack(
         [parameter_vector(rig) - parameter_vector(calibration) for rig in changed.values()], axis=1

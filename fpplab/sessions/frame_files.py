@@ -38,7 +38,7 @@ def read_frame(path: Path, record: FrameRecord, verify: bool) -> Image:
     index = record.index
     try:
         open_regular(path).close()
-        image: Image = tifffile.memmap(path, mode="r")
+        image: Image = np.asarray(tifffile.memmap(path, mode="r"))
     except FileNotFoundError:
         raise DataError(f"{path}: frame {index} is missing") from None
     except Exception as error:

@@ -84,20 +84,22 @@ def _from_frames(sample: FrameSample, rows: NDArray[np.intp], sets: Sequence[int
         fit = sample.fits[k]
         offset, phase = np.where(used, fit.offset[rows], 0.0), fit.phase[rows]
         power = np.square(offset).sum(axis=1)
-        angles = phase - fringe.phase_shifts()[:, None, None]
+        turn = np.exp(1j * phase) * np.exp(-1j * fringe.phase_shifts())[:, None, None]
         images = sample.spread[plan.set_starts[k] : plan.set_starts[k + 1], rows]
-        residuals = images - fit.offset[rows] - fit.modulation[rows] * np.cos(angles)
-        residuals -= _even_waves(residuals, fit.modulation[rows], angles, used)
+        residuals = images - fit.offset[rows] - fit.modulation[rows] * turn.real
+        residuals -= _even_waves(residuals, fit.modulation[rows], turn, used)
         # The fit of a sinusoid takes three of the N gains of its frames.
         free = math.sqrt(fringe.images / (fringe.images - 3))
         gains += list((residuals * offset).sum(axis=2) / power * free)
     return gains
 
 
-def _even_waves(residuals: Floats, modulation: Floats, angles: Floats, used: NDArray[np.bool_]) -> Floats:
+def _even_waves(
+    residuals: Floats, modulation: Floats, turn: NDArray[np.complex128], used: NDArray[np.bool_]
+) -> Floats:
     """What harmonics of the response leave besides the sinusoid, with one strength in all used pixels."""
     total, shown = np.zeros_like(residuals), np.where(used, modulation, 0.0)
-    for wave in harmonic_waves(angles):
+    for wave in harmonic_waves(turn):
         shape = shown * wave
         total += float(np.vdot(residuals, shape)) / max(float(np.vdot(shape, shape)), 1e-12) * shape
     return total

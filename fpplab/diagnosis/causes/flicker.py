@@ -111,9 +111,9 @@ def _residual_gains(sample: FrameSample, k: int) -> Floats | None:
         return None
     frames = sample.spread[plan.set_starts[k] : plan.set_starts[k + 1]]
     images = frames.reshape(len(frames), -1)[:, used]
-    angles = phase - plan.fringes[k].phase_shifts()[:, None]
-    residuals = images - offset - modulation * np.cos(angles)
-    waves = [modulation * wave for wave in harmonic_waves(angles)]
+    turn = np.exp(1j * phase) * np.exp(-1j * plan.fringes[k].phase_shifts())[:, None]
+    residuals = images - offset - modulation * turn.real
+    waves = [modulation * wave for wave in harmonic_waves(turn)]
     per_offset = offset / (offset @ offset)
     gains, shares = residuals @ per_offset, [wave @ per_offset for wave in waves]
     without_gains = np.stack(

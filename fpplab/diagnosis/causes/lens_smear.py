@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator, Sequence
 
+import cv2
 import numpy as np
-from scipy.ndimage import label, median_filter
+from scipy.ndimage import label
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import TWO_PI, Floats, Mask, axis_length
@@ -41,9 +42,8 @@ def blur_beyond_depth(evidence: Evidence) -> Floats | None:
     if coordinate is None or cloud is None or cloud.pixels is None:
         return None
     turn = TWO_PI * plan.fringes[finest].stripes / axis_length(sample.recording.projector_size, axis)
-    depth = np.full(coordinate.shape, np.nan)
-    depth[tuple(cloud.pixels.T[::-1])] = cloud.points[:, 2]
-    z = depth[::step, ::step]
+    numbers = sample.numbers_of(cloud.pixels)
+    z = np.where(numbers < 0, np.nan, cloud.points[numbers, 2].astype(np.float64))
     # Across a whole step, since noise of neighbouring pixels would seem to be slope.
     slope = np.square(np.gradient(coordinate[::step, ::step].astype(np.float64), step)).sum(axis=0)
     share = sample.fits[finest].modulation / np.maximum(sample.widest.modulation, 1e-3)
@@ -57,12 +57,13 @@ def blur_beyond_depth(evidence: Evidence) -> Floats | None:
     terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v, d, d * d, slope[used]])
     kept = np.full(len(d), True)
     for _ in range(4):
-        strengths = np.linalg.lstsq(terms[:, kept].T, square[kept], rcond=None)[0]
+        counted = terms * kept
+        strengths = np.linalg.lstsq(counted @ terms.T, counted @ square, rcond=None)[0]
         rest = square - strengths @ terms
         kept = np.abs(rest) <= 4.5 * np.median(np.abs(rest))
-    result = np.zeros(z.shape)
+    result = np.zeros(z.shape, np.float32)
     result[used] = rest / slope[used]
-    return np.asarray(median_filter(result, 5))
+    return np.asarray(cv2.medianBlur(result, 5), np.float64)
 
 
 def _wider_set(evidence: Evidence) -> int | None:

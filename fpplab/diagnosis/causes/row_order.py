@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fpplab.core.config import Positive
-from fpplab.core.conventions import Axis, Floats
+from fpplab.core.conventions import TWO_PI, Axis, Floats
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import CountLimit, LimitsSection
@@ -34,7 +34,8 @@ def _changes_between_rows(sample: FrameSample, fringe_axis: Axis, axis: int, dis
     fit = sample.tile_fits[sample.recording.plan.finest_set(fringe_axis)]
     phase, modulation = (np.moveaxis(part, axis, 0) for part in (fit.phase, fit.modulation))
     lit = modulation > max(0.1 * float(np.percentile(modulation, 99)), 1.0)
-    change = np.angle(np.exp(1j * (phase[distance:] - phase[:-distance])))
+    change = phase[distance:] - phase[:-distance]
+    change -= TWO_PI * np.rint(change / TWO_PI)
     used = lit[distance:] & lit[:-distance]
     if used.sum(axis=(1, 2)).min() < sample.limits.of(RowOrderLimits).min_pixels:
         return None

@@ -87,36 +87,38 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
     """Measure what of the coordinate's roughness repeats with a frequency along the projector's pixels."""
     # returns cycles (F,), amplitudes (F,)
     limits = sample.limits.of(WrongResolutionLimits)
-    even = _find_evenly_bright_pixels(sample.recording.mean_image(), limits.max_even_change)
-    position, rough = _roughness(sample.coordinates[axis], even, sample.step)
+    position, rough = _roughness(sample, sample.coordinates[axis])
     if len(position) < sample.limits.of(FringeShapeLimits).min_pixels:
         return None
     span = float(np.ptp(np.percentile(position, (1, 99))))
     max_cycles = min(limits.max_cycles, limits.max_cycles_per_pixel / _pixel_pitch(sample, axis))
-    cycles = np.arange(limits.min_cycles, max_cycles, 0.5 / max(span, 100.0))
+    bins = np.rint(4.0 * (position - position.min())).astype(np.intp)
+    count = np.bincount(bins)
+    length = max(round(8.0 * max(span, 100.0)), len(count))
+    cycles = np.fft.rfftfreq(length, 0.25)
+    used = (cycles >= limits.min_cycles) & (cycles < max_cycles)
     size = axis_length(sample.recording.projector_size, axis)
     sets = [fringe.stripes / size for fringe in sample.recording.plan.fringes if fringe.axis == axis]
     fine = [own for own in sets if own >= 0.02]
     for own in fine:
-        cycles = cycles[np.abs(cycles / own - np.rint(cycles / own)) * own > limits.min_distance_cycles]
-    if len(cycles) == 0:
+        used &= np.abs(cycles / own - np.rint(cycles / own)) * own > limits.min_distance_cycles
+    if not used.any():
         return None
-    bins = np.rint(4.0 * (position - position.min())).astype(np.intp)
-    count = np.bincount(bins)
     total = np.asarray(np.bincount(bins, rough), np.float64)
     places = np.arange(len(total)) / 4.0
     total = total - count * _explained_by_fringes(
         places, total, count, _fringe_harmonics(sets, fine, span, limits)
     )
-    sums = np.exp(-1j * TWO_PI * np.outer(cycles, places)) @ total
-    return cycles, np.asarray(2.0 * np.abs(sums) / count.sum())
+    sums = np.fft.rfft(total, length)[used]
+    return cycles[used], np.asarray(2.0 * np.abs(sums) / count.sum())
 
 
 def _pixel_pitch(sample: FrameSample, axis: Axis) -> float:
     """Typical change of the coordinate from one camera pixel to the next, in px."""
-    coordinate = sample.coordinates[axis]
-    steps = (np.diff(coordinate[:: sample.step]), np.diff(coordinate[:, :: sample.step], axis=0))
-    return float(max(np.nanmedian(np.abs(step)) if np.isfinite(step).any() else 0.0 for step in steps)) or 1.0
+    coordinate, step = sample.coordinates[axis], sample.step
+    here = coordinate[:-1:step, :-1:step]
+    changes = coordinate[:-1:step, 1::step] - here, coordinate[1::step, :-1:step] - here
+    return float(max(np.nanmedian(np.abs(c)) if np.isfinite(c).any() else 0.0 for c in changes)) or 1.0
 
 
 def _fringe_harmonics(
@@ -144,17 +146,20 @@ def _explained_by_fringes(
     return np.asarray(waves @ best)
 
 
-def _roughness(coordinate: Map, even: Mask, step: int) -> tuple[Floats, Floats]:
+def _roughness(sample: FrameSample, coordinate: Map) -> tuple[Floats, Floats]:
     """Coordinates of some pixels in a direction in which they change, and how far they are off a line there.
 
     A blurred edge shifts the coordinate, and so would a regular print; only pixels of an even scene are used.
     """
+    step, image = sample.step, sample.recording.mean_image()
     right, down = (np.abs(np.diff(coordinate[::step, ::step], axis=k)) for k in (1, 0))
     steep = np.nanmedian(right) if np.isfinite(right).any() else 0.0
     turned = steep < (np.nanmedian(down) if np.isfinite(down).any() else 0.0)
-    along, smooth = (coordinate.T, even.T) if turned else (coordinate, even)
-    every = slice(None, None, max(1, along.size // 60_000))  # of which 60 000 coordinates are left at most
-    rows, smooth = along[every].astype(np.float64), smooth[every]
+    along, image = (coordinate.T, image.T) if turned else (coordinate, image)
+    every = max(1, along.size // 60_000)  # of which 60 000 coordinates are left at most
+    rows = along[::every].astype(np.float64)
+    max_change = sample.limits.of(WrongResolutionLimits).max_even_change
+    smooth = np.stack([_are_evenly_bright(image, v, max_change) for v in range(0, len(image), every)])
     half = 12  # camera px to each side over which a surface is taken as straight (chosen)
     if rows.shape[1] <= 4 * half:
         return np.empty(0), np.empty(0)
@@ -169,11 +174,13 @@ def _roughness(coordinate: Map, even: Mask, step: int) -> tuple[Floats, Floats]:
     return middle[whole], rough[whole]
 
 
-def _find_evenly_bright_pixels(image: Image, max_change: float) -> Mask:
-    """Which pixels have neighbours of nearly their own brightness."""
-    level = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32)
+def _are_evenly_bright(image: Image, row: int, max_change: float) -> Mask:
+    """Which pixels of a row have neighbours of nearly their own brightness."""
+    first = max(row - 4, 0)  # both filters together reach as far
+    around = np.ascontiguousarray(image[first : row + 5])
+    level = cv2.GaussianBlur(around, (0, 0), 1.0).astype(np.float32)
     change = np.hypot(cv2.Sobel(level, -1, 1, 0, scale=0.125), cv2.Sobel(level, -1, 0, 1, scale=0.125))
-    return np.asarray(change < max_change * level)
+    return np.asarray((change < max_change * level)[row - first])
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
