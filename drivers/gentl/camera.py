@@ -140,13 +140,6 @@ class GentlCamera(GenicamCamera):
         if self._first is None:
             self._first = frame.number
         settings = self._configured("read")
-        if frame.image.size and frame.image.max() >> settings.bits:
-            raise FrameLossError(
-                self.name,
-                "read",
-                f"frame {frame.number} has levels of more than {settings.bits} bits",
-                "the camera's pixels are not right-justified; use 8 or 16 bits",
-            )
         return Frame(frame.image, frame.number - self._first, settings, host_time_s, frame.time_s)
 
     def _stop(self) -> None:

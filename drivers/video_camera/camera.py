@@ -1,12 +1,11 @@
 """A video camera behind the interface of `fpplab.devices`.
 
-Such a camera runs freely: only a frame whose exposure began after the call is delivered, and earlier ones are
-dropped. A camera is refused where its frames would not be the sensor's own integers, or where it chooses the
-exposure itself.
+A camera is refused where its frames would not be the sensor's own integers, or where it chooses the exposure
+itself.
 """
 
 import errno
-import time
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Annotated, Any, Literal
@@ -23,13 +22,12 @@ from fpplab.core.conventions import Image, raw_dtype
 from fpplab.core.errors import (
     CapabilityError,
     DeviceError,
-    DeviceTimeoutError,
     DisconnectedError,
     FrameLossError,
     SettingError,
     StateError,
 )
-from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, Trigger
+from fpplab.devices import CameraCaps, CameraSettings, DeviceInfo, FreeFrame, FreeRun, FreeRunningCamera
 
 PositiveCount = Annotated[int, Field(ge=1)]
 
@@ -78,7 +76,7 @@ FORMATS = {"GREY": 8, "Y10 ": 10, "Y12 ": 12, "Y14 ": 14, "Y16 ": 16}
 """Bit depth of each pixel format whose values are right-justified integers."""
 
 
-class VideoCamera(Camera):
+class VideoCamera(FreeRunningCamera):
     """A camera by its device file; an emulated bench may be the kernel by its attribute `video`."""
 
     _device: Any = None
@@ -131,39 +129,22 @@ class VideoCamera(Camera):
         self._present_caps = self._read_caps()
         return CameraSettings(exposure_s, gain_db, settings.bits)
 
-    def _arm(self, n: int, trigger: Trigger) -> None:
+    def _run(self) -> FreeRun:
+        return FreeRun(self._period_s, self._options.latency_s)
+
+    def _start(self) -> None:
         self._device.start()
 
-    def _read(self, timeout_s: float) -> Frame:
-        settings, begin_s = self._configured("read"), time.monotonic()
-        deadline_s = begin_s + timeout_s
-        # Whichever moment of a frame its time is of, from here on it was exposed after `begin_s`.
-        fresh_s = begin_s + settings.exposure_s + self._period_s + self._options.latency_s
-        while True:
-            frame = self._device.read(deadline_s - time.monotonic())
-            if frame is None:
-                raise DeviceTimeoutError(
-                    self.name,
-                    "read",
-                    f"no frame that began after it was asked for came within {timeout_s:g} s",
-                    "check the cable, or allow more time",
-                )
-            # With a driver that extrapolates the time of its frames stale ones look fresh; a time that lies
-            # 1 ms ahead (chosen: above the rounding of clocks) gives it away.
-            if frame.time_s is None or frame.time_s > time.monotonic() + 1e-3:
-                raise CapabilityError(
-                    self.name,
-                    "read",
-                    "its frames do not tell when they were exposed",
-                    "use a camera whose driver stamps frames with the monotonic clock, and not ahead of it",
-                )
-            if frame.time_s >= fresh_s:
-                return Frame(self._image(frame), self._taken, settings, time.time(), frame.time_s)
+    def _next(self, timeout_s: float) -> FreeFrame | None:
+        frame = self._device.read(timeout_s)
+        if frame is None:
+            return None
+        # The kernel stamps by one clock or another: frames without the right one are refused, not counted.
+        return FreeFrame(lambda: self._image(frame), math.inf if frame.time_s is None else frame.time_s)
 
     def _image(self, frame: StampedFrame) -> Image:
         _, width, height, pitch = self._device.format()
-        bits = self._configured("read").bits
-        dtype = np.dtype(raw_dtype(bits))
+        dtype = np.dtype(raw_dtype(self._configured("read").bits))
         if frame.is_damaged or frame.pixels.size < height * pitch or pitch < width * dtype.itemsize:
             raise FrameLossError(
                 self.name,
@@ -172,15 +153,7 @@ class VideoCamera(Camera):
                 "check the cable and the USB controller; take the frames again",
             )
         rows = frame.pixels[: height * pitch].reshape(height, pitch)[:, : width * dtype.itemsize]
-        image: Image = np.ascontiguousarray(rows).view(dtype)
-        if image.max() >> bits:
-            raise FrameLossError(
-                self.name,
-                "read",
-                f"frame {self._taken} has levels of more than {bits} bits",
-                "its pixels are not right-justified; use 8 or 16 bits",
-            )
-        return image
+        return np.ascontiguousarray(rows).view(dtype)
 
     def _stop(self) -> None:
         self._device.stop()

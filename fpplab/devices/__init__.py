@@ -14,6 +14,7 @@ from fpplab.devices.camera import Camera, CameraCaps, CameraSettings, Frame, Tri
 from fpplab.devices.device import Device, DeviceInfo, State
 from fpplab.devices.fixture import Fixture, FixtureCaps
 from fpplab.devices.flashing import FlashingProjector
+from fpplab.devices.free_running import FreeFrame, FreeRun, FreeRunningCamera
 from fpplab.devices.placing import InstructableFixture, PosableFixture
 from fpplab.devices.projector import PatternLoads, Projector, ProjectorCaps
 from fpplab.devices.stage import Stage, StageCaps, StageMove
@@ -28,6 +29,9 @@ __all__ = [
     "FixtureCaps",
     "FlashingProjector",
     "Frame",
+    "FreeFrame",
+    "FreeRun",
+    "FreeRunningCamera",
     "InstructableFixture",
     "PatternLoads",
     "PosableFixture",

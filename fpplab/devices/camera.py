@@ -46,6 +46,9 @@ class CameraCaps:
     calibration; None where the camera does not report it."""
     bayer: Bayer | None = None
     """Colours of the filter on its pixels, of its frames' first two rows; None where all are alike."""
+    exposure_step_s: float = 0.0
+    """Step of its exposures, such as the time of a sensor row: the device takes the nearest. 0 where steps
+    are finer than a tenth of the exposure."""
 
     def __post_init__(self) -> None:
         for name in ("size", "bits", "exposure_s", "gain_db", "triggers"):
@@ -125,13 +128,13 @@ class Camera(Device):
             )
         with self._guard("configure"):
             back = self._of_kind(CameraSettings, self._configure(settings), "_configure")
-        if not _are_settings_honoured(settings, back):
+        if not are_settings_honoured(settings, back, caps):
             self._settings = None  # the device now has settings that were not requested
             raise SettingError(
                 self.name,
                 "configure",
                 f"{settings} was asked for, but the device reads {back}",
-                "choose what it has",
+                _unit_hint(back.exposure_s / settings.exposure_s) or "choose what it has",
             )
         self._settings = back
         return back
@@ -254,6 +257,13 @@ class Camera(Device):
                 f"frame {frame.index} is an array {frame.image.shape} of {frame.image.dtype}",
                 f"{(height, width)} of {expected} was configured, rows before columns",
             )
+        if settings.bits < 8 * expected.itemsize and frame.image.max() >> settings.bits:
+            raise FrameLossError(
+                self.name,
+                "read",
+                f"frame {frame.index} has levels of more than {settings.bits} bits",
+                "its pixels are left-justified: the driver must shift them to the right, or use 8 or 16 bits",
+            )
 
     @abstractmethod
     def _caps(self) -> CameraCaps:
@@ -358,9 +368,18 @@ class Camera(Device):
         """
 
 
-def _are_settings_honoured(requested: CameraSettings, back: CameraSettings) -> bool:
+def _unit_hint(ratio: float) -> str:
+    """Name the unit in which an exposure was read back, if it is not s."""
+    for unit, per_s in {"ms": 1e3, "µs": 1e6}.items():
+        if 0.5 < ratio / per_s < 2.0:
+            return f"`_configure` gives the exposure in {unit}; it is in s; fix the driver"
+    return ""
+
+
+def are_settings_honoured(requested: CameraSettings, back: CameraSettings, caps: CameraCaps) -> bool:
     """Whether a device has the requested settings, but for rounding to its grid."""
     # Chosen: wide enough for exposures in steps of a sensor row and for gains in steps of 0.5 dB, and too
     # narrow for a setting that the device has ignored.
-    exposure_is_near = abs(back.exposure_s - requested.exposure_s) <= 0.1 * requested.exposure_s
+    off_s = abs(back.exposure_s - requested.exposure_s)
+    exposure_is_near = off_s <= max(0.1 * requested.exposure_s, 0.5 * caps.exposure_step_s)
     return exposure_is_near and abs(back.gain_db - requested.gain_db) <= 0.5 and back.bits == requested.bits

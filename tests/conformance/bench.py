@@ -1,14 +1,16 @@
 """What the conformance tests have in common: a plan that any rig can show, and how to look at it."""
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
-from fpplab.core.errors import FrameLossError
-from fpplab.devices import Device
+from fpplab.core.errors import ConfigError, FrameLossError
+from fpplab.devices import Device, Frame
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
@@ -60,6 +62,24 @@ def picture(rig: Rig, i: int) -> Floats:
 def seen(rig: Rig) -> Floats:
     frame = rig.camera.snap()
     return frame.image / float((1 << frame.settings.bits) - 1)
+
+
+def contrast(frame: Frame) -> float:
+    """What most of a picture spans, as a share of full scale: a black level does not count."""
+    low, high = np.quantile(frame.image, (0.05, 0.95))
+    return float(high - low) / (1 << frame.settings.bits)
+
+
+def check_unknown_key(rig: Rig, device: Device) -> None:
+    """Fail where a driver takes any key: one that is misspelt would have no effect."""
+    options = {**rig._options(getattr(rig.file, device.kind)), "no_such_key": 1}
+    with suppress(ConfigError):
+        type(device)(device.name, options, rig.simulation)
+        pytest.fail(
+            "a key that does not exist was accepted: end `_setup` with `super()._setup(options, shared)`"
+        )
+    with pytest.raises(ConfigError, match="no_such_key"):
+        type(device)(device.name, options, rig.simulation)
 
 
 def brightness(picture: NDArray[Any]) -> float:

@@ -10,7 +10,7 @@ import pytest
 
 from fpplab.acquisition.timing import pulse_timing
 from fpplab.core.errors import CapabilityError, DeviceTimeoutError, FrameLossError, SettingError, StateError
-from fpplab.devices import Camera, CameraSettings, State
+from fpplab.devices import Camera, CameraSettings, Frame, State
 from fpplab.devices.rig import Rig
 from tests.conformance.bench import (
     BLACK,
@@ -19,12 +19,20 @@ from tests.conformance.bench import (
     WHITE,
     LosesFrames,
     brightness,
+    check_unknown_key,
+    contrast,
     dim_plan,
     patterns_for,
 )
 
 PROBE = 1.0 / math.pi
 """A point of a range that lies on nobody's grid."""
+LONGER = 4.0
+"""Factor by which exposures differ that must be seen in a picture."""
+NEXT_FRAMES = 6
+"""So many frames after a change of settings: more than a camera or its driver holds back."""
+LEAST_CONTRAST = 10.0
+"""Contrast of a scene, as a multiple of the noise, by which a change of brightness is judged."""
 LEAST_WHITE = 0.05
 """Share of full scale that white has at least at 20 ms."""
 NOISY_PX = 50
@@ -100,6 +108,89 @@ def test_it_must_be_configured_first_also_after_reopening(camera: Camera) -> Non
         with pytest.raises(StateError, match="not configured"):
             use()
     assert camera.state is State.IDLE
+
+
+def test_a_key_that_is_misspelt_is_refused(rig: Rig, camera: Camera) -> None:
+    check_unknown_key(rig, camera)
+
+
+def test_a_change_of_settings_shows_in_the_next_frame(rig: Rig, camera: Camera) -> None:
+    """A picture with four times the exposure has four times the contrast: what is read back is there."""
+    show(rig, DISTINCT[2])
+    usual = settings_of(rig)
+    long = suited_to_the_scene(camera, usual)
+    short = replace(long, exposure_s=long.exposure_s / LONGER)
+    seen = {}
+    for settings in (long, short, long):
+        back = camera.configure(settings)
+        frames = next_frames(camera)
+        now = np.mean([contrast(frame) for frame in frames[-2:]])
+        late = [k for k, frame in enumerate(frames, 1) if not 0.7 < contrast(frame) / now < 1.4]
+        assert not late, (
+            f"frame {late[-1]} after `configure` still has the exposure from before: it was exposed earlier, "
+            "and `_arm` must drop what waits; or settings act late, see `late` of `fpplab.devices.FreeRun`"
+        )
+        seen[back.exposure_s] = now
+    factor, found = max(seen) / min(seen), seen[max(seen)] / seen[min(seen)]
+    assert 0.6 < found / factor < 1.6, (
+        f"the exposure is read back {factor:.2f} times as long, but the contrast is {found:.2f} times as "
+        "high: `_configure` must give back what the device reads, in s, and grey levels must be raw"
+    )
+
+
+def suited_to_the_scene(camera: Camera, settings: CameraSettings) -> CameraSettings:
+    """An exposure at which the scene is neither black nor white."""
+    least, most = camera.caps.exposure_s
+    while True:
+        camera.configure(settings)
+        frames = next_frames(camera)
+        full = np.quantile(frames[-1].image, 0.98) / ((1 << settings.bits) - 1)
+        longer, shorter = settings.exposure_s * LONGER, settings.exposure_s / LONGER
+        if full > 0.8 and shorter / LONGER >= least:
+            settings = replace(settings, exposure_s=shorter)
+            continue
+        noise = float(np.std(frames[-1].image.astype(float) - frames[-2].image)) / (1 << settings.bits)
+        if full <= 0.8 and shorter >= least and contrast(frames[-1]) > LEAST_CONTRAST * noise:
+            return settings
+        if full > 0.2 or longer > min(most, 0.5):
+            pytest.skip("the camera sees too little contrast, or is at the end of its exposures")
+        settings = replace(settings, exposure_s=longer)
+
+
+def next_frames(camera: Camera) -> list[Frame]:
+    camera.arm(NEXT_FRAMES)
+    return [camera.read(10.0) for _ in range(NEXT_FRAMES)]
+
+
+def test_no_frame_comes_sooner_than_it_is_exposed(rig: Rig, camera: Camera) -> None:
+    """A frame that comes at once was exposed before it was asked for; by then the light was another one."""
+    show(rig, WHITE)
+    least, most = camera.caps.exposure_s
+    exposure_s = camera.configure(replace(settings_of(rig), exposure_s=min(max(0.1, least), most))).exposure_s
+    camera.arm(NEXT_FRAMES)
+    time.sleep(2.0 * exposure_s)
+    took_s = []
+    for _ in range(NEXT_FRAMES):
+        before_s = time.monotonic()
+        camera.read(10.0)
+        took_s.append(time.monotonic() - before_s)
+    if took_s[-1] < 0.5 * exposure_s:
+        pytest.skip("frames take no time: the camera is simulated, or all frames were exposed before")
+    assert took_s[0] > 0.5 * exposure_s, (
+        f"the first frame came after {took_s[0]:.3f} s, with an exposure of {exposure_s:.3f} s: "
+        "it was exposed before it was asked for; drop such frames: see `fpplab.devices.FreeRunningCamera`"
+    )
+
+
+def test_levels_are_right_justified(rig: Rig, camera: Camera) -> None:
+    show(rig, WHITE)
+    for bits in (bits for bits in camera.caps.bits if 8 < bits < 16):
+        camera.configure(replace(settings_of(rig), bits=bits))
+        image = camera.snap().image
+        assert not image.any() or np.any(image % (1 << (16 - bits))), (
+            f"every level is a multiple of {1 << (16 - bits)}: frames of {bits} bits are left-justified; "
+            f"shift them to the right, `image >> {16 - bits}`"
+        )
 
 
 @pytest.mark.light

@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
-from fpplab.core.errors import ConfigError, DeviceError, NotOpenError, StateError
+from fpplab.core.errors import DeviceError, NotOpenError, StateError
 from fpplab.devices import CameraSettings, Device, State
 from fpplab.devices.rig import Rig
+from tests.conformance.bench import check_unknown_key
 
 Use = Callable[[Any], object]
 
@@ -44,11 +45,7 @@ def uses(device: Device) -> dict[str, Use]:
 
 
 def test_an_unknown_key_of_its_section_is_refused(rig: Rig, device: Device) -> None:
-    """A key that is misspelt would have no effect: `_setup` names it, with `super()._setup` in the end."""
-    section = getattr(rig.file, device.kind)
-    options = {**rig._options(section), "no_such_key": 1}
-    with pytest.raises(ConfigError, match="no_such_key"):  # `super()._setup(options, shared)` raises it
-        type(device)(device.name, options, rig.simulation)
+    check_unknown_key(rig, device)
 
 
 def test_everything_before_opening_is_refused(device: Device) -> None:

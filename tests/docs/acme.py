@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core.conventions import Floats
 from fpplab.patterns.fringes import Pattern
 from tests.conformance.reference import CAMERA_SIZE, REFERENCE_EXPOSURE_S, ReferenceBench
 
@@ -30,6 +31,13 @@ class AcmeBench(ReferenceBench):
     def open(self) -> None:
         super().open()
         AcmeBench.present = self
+
+
+class AcmeRoom(AcmeBench):
+    """A room with lamps on, to which the projector adds nothing."""
+
+    def light(self, pattern: Pattern | None) -> Floats:
+        return super().light(None) + np.linspace(0.05, 0.6, CAMERA_SIZE[0])
 
 
 @dataclass(frozen=True)

@@ -136,6 +136,60 @@ def test_a_worse_camera_does_not(tmp_path: Path, good: str, bad: str, noticed_by
     assert done.returncode == 1, done.stdout
 
 
+ONE_LATE = """    def _one_late(self, pixels):
+        before, self._kept = getattr(self, "_kept", pixels), pixels.copy()
+        return before
+
+"""
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        (
+            {
+                "np.array(received.pixels, ": "np.array(self._one_late(received.pixels), ",
+                "    def _stop(self)": ONE_LATE + "    def _stop(self)",
+            },
+            "frame 1 after `configure` still has the exposure from before: it was exposed earlier",
+        ),
+        (
+            {
+                'self._sdk.set("exposure_us", settings.exposure_s * 1e6)': "pass",
+                'read("exposure_us") / 1e6, read("gain_db"), int(read("bits"))': "settings.exposure_s, "
+                'read("gain_db"), settings.bits',
+            },
+            "the contrast is 1.00 times as high: `_configure` must give back what the device reads",
+        ),
+        (
+            {"else np.uint16)  # a copy": "else np.uint16) << 4 * (self._applied.bits == 12)"},
+            "has levels of more than 12 bits; its pixels are left-justified: the driver must shift them",
+        ),
+        (
+            {"super()._setup(options, shared)": "pass"},
+            "a key that does not exist was accepted: end `_setup` with `super()._setup(options, shared)`",
+        ),
+        (
+            {'CameraSettings(read("exposure_us") / 1e6': 'CameraSettings(read("exposure_us")'},
+            "`_configure` gives the exposure in µs; it is in s; fix the driver",
+        ),
+    ],
+    ids=["stale", "lying", "left-justified", "swallowed keys", "µs for s"],
+)
+def test_the_camera_alone_tells_what_is_wrong(
+    tmp_path: Path, changes: dict[str, str], complaint: str
+) -> None:
+    code = camera()
+    for good, bad in changes.items():
+        assert code.count(good) == 1, good
+        code = code.replace(good, bad)
+    rig = emulated(triggered=False).replace("AcmeBench", "AcmeRoom")
+    done = run_suite(tmp_path, code, rig, CAMERA_ALONE, *WITHOUT_LIGHT)
+    assert done.returncode == 1
+    assert complaint in re.sub(r"\s*\nE\s+", " ", done.stdout), done.stdout
+
+
 @pytest.mark.whole
 def test_the_package_of_the_page_announces_its_camera(tmp_path: Path) -> None:
     source, installed = tmp_path / "source", tmp_path / "installed"
