@@ -9,6 +9,9 @@ class ReconstructionLimits(NamedTuple):
     depth_tolerance: float = 1e-5  # relative size of the last step (derived: the depth is then good to 1e-10)
     max_steps: int = 20  # steps of Gauss-Newton for one pixel (chosen: from the pixel above one is enough)
     block_rows: int = 16  # rows that one thread solves in sequence, each starting from the row above (chosen)
+    stretch_px: int = 512  # pixels of a row that are solved together, so that caches hold them (chosen)
+    min_coded_share: float = 0.25
+    """Of a stretch, for all its pixels to be solved at once (measured: each takes a quarter of the time)"""
     min_sensitivity_px_per_mm: float = 1e-3  # of coordinates with depth, for the depth (chosen)
     max_coordinate_px: float = 1e6
     """A coordinate beyond this, or an infinite one, is taken as not known (chosen)"""

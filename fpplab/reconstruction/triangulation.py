@@ -47,6 +47,13 @@ class CodedMaps(NamedTuple):
 Ray = tuple[float, float, float, float, float, float]
 """In the projector's frame: direction of a camera ray, for a depth of 1, and the camera's place in mm."""
 
+RaySolution = tuple[float, float, float, float, float]
+"""Depth in mm, sensitivity squared in (px/mm)², distance from the epipolar curve in px; distortion."""
+
+# Rows of the buffer of a stretch of pixels, which do not lie multiples of a memory page apart.
+_ROW = LIMITS.stretch_px + 48
+_SHIFT_X, _SHIFT_Y, _DEPTH, _SQUARE, _EPIPOLAR = (np.uintp(k * _ROW) for k in range(5))
+
 CoordinateResiduals = tuple[float, float, float, float, float, float, float, float, float, float]
 """CoordinateResiduals u, v; derivatives u, v; coordinates u, v; slopes x, y, and the same distorted."""
 
@@ -282,69 +289,145 @@ def _is_in_image(u: float, v: float, size: tuple[int, int]) -> bool:
 
 
 @njit(inline="always")
-def _epipolar_distance_px(off_u: float, off_v: float, along_u: float, along_v: float) -> float:
-    """Distance of the coordinates from the epipolar curve, which has the direction (along_u, along_v)."""
+def _epipolar_distance_px(
+    off_u: float, off_v: float, ju: float, jv: float, weights: tuple[float, float]
+) -> float:
+    """Distance of the coordinates from the epipolar curve, which has the direction of the sensitivities."""
+    along_u, along_v = ju * weights[1], jv * weights[0]  # which are weighted
     across = abs(along_u * off_v - along_v * off_u)
     return float(across / np.sqrt(along_u * along_u + along_v * along_v))
 
 
 # Contracting to multiply-adds changes the last bits only, and NaN keeps its meaning.
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _solve_pixel(
+    ray: Ray,
+    u: float,
+    v: float,
+    shift: tuple[float, float],
+    weights: tuple[float, float],
+    device: Numbers,
+    size: tuple[int, int],
+    reach: float,
+) -> RaySolution:
+    """Solve a pixel by as many steps as it takes."""
+    # With the distortion taken as known the equations are linear in z.
+    x, y = (u - device[2]) / device[0] - shift[0], (v - device[3]) / device[1] - shift[1]
+    if np.isnan(x):
+        x, y = _undistort_pixel(u, v, device, reach)
+    z = _linear_depth(x, y, ray, weights)
+    for _ in range(LIMITS.max_steps):
+        if not (z > 0.0 and z * ray[2] + ray[5] > 0.0):
+            break
+        eu, ev, ju, jv, pu, pv, x, y, xd, yd = _residuals(z, ray, u, v, weights, device)
+        square = ju * ju + jv * jv
+        if square < LIMITS.min_sensitivity_px_per_mm * LIMITS.min_sensitivity_px_per_mm:
+            break
+        step = (ju * eu + jv * ev) / square
+        z += step
+        if abs(step) <= LIMITS.depth_tolerance * z:
+            inside = _is_in_image(pu, pv, size) and x * x + y * y < reach * reach
+            off_px = _epipolar_distance_px(u - pu, v - pv, ju, jv, weights)
+            return z if inside else np.nan, square, off_px, xd - x, yd - y
+    return np.nan, np.nan, np.nan, shift[0], shift[1]
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _solve_stretch(
+    across: Floats,
+    down: Floats,
+    known_u: Map,
+    known_v: Map,
+    weights: tuple[float, float],
+    device: Numbers,
+    pose: Numbers,
+    size: tuple[int, int],
+    reach: float,
+    work: Floats,
+) -> None:
+    """Solve neighbouring pixels by one step each, without branches; NaN where it does not suffice."""
+    cx, cy, per_fx, per_fy = device[2], device[3], 1.0 / device[0], 1.0 / device[1]
+    for j in range(len(across)):
+        i = np.uintp(j)
+        u, v, ray = float(known_u[i]), float(known_v[i]), _in_projector(across[i], down[i], pose)
+        old_x, old_y = work[i + _SHIFT_X], work[i + _SHIFT_Y]
+        z = _linear_depth((u - cx) * per_fx - old_x, (v - cy) * per_fy - old_y, ray, weights)
+        good = (z > 0.0) & (z * ray[2] + ray[5] > 0.0)
+        eu, ev, ju, jv, pu, pv, x, y, xd, yd = _residuals(z, ray, u, v, weights, device)
+        square = ju * ju + jv * jv
+        step = (ju * eu + jv * ev) / square
+        z += step
+        good &= square >= LIMITS.min_sensitivity_px_per_mm * LIMITS.min_sensitivity_px_per_mm
+        good &= (abs(step) <= LIMITS.depth_tolerance * z) & (x * x + y * y < reach * reach)
+        good &= (pu >= -0.5) & (pu <= size[0] - 0.5) & (pv >= -0.5) & (pv <= size[1] - 0.5)
+        work[i + _DEPTH], work[i + _SQUARE] = z if good else np.nan, square
+        work[i + _EPIPOLAR] = _epipolar_distance_px(u - pu, v - pv, ju, jv, weights)
+        work[i + _SHIFT_X], work[i + _SHIFT_Y] = xd - x if good else old_x, yd - y if good else old_y
+
+
+@njit(inline="always")
+def _count_coded(u: Map, v: Map) -> int:
+    count = 0
+    for i in range(len(u)):
+        count += _is_coded(u[i], v[i])
+    return count
+
+
 @njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _fill_solutions(
     slopes: Floats, coded: CodedMaps, projector: ProjectorModel, starts: NDArray[np.int64], out: Solutions
 ) -> None:
     (height, width), reach = coded.sigma.shape, projector.reach
-    use_u, use_v, v_per_u = len(coded.u) > 0, len(coded.v) > 0, coded.v_per_u
+    use_u, use_v = len(coded.u) > 0, len(coded.v) > 0
     # In a parallel loop tuples cannot hold tuples, and what they hold cannot be written.
     points, pixels, epipolar, colour = out.points, out.pixels, out.epipolar, out.colour
     spread, common_spread = out.sigma, out.phase_error
     device, pose, size = projector.intrinsics, projector.pose, projector.size
-    fx, fy, cx, cy = device[0], device[1], device[2], device[3]
-    per_fx, per_fy = 1.0 / fx, 1.0 / fy
-    weights = _weights(use_u, use_v, v_per_u)
+    weights = _weights(use_u, use_v, coded.v_per_u)
+    middle_u, middle_v = np.full(width, np.float32(device[2])), np.full(width, np.float32(device[3]))
     for block in prange((height + LIMITS.block_rows - 1) // LIMITS.block_rows):
-        # The distortion of the pixel above is an initial value that needs only one step.
-        shift_x, shift_y = np.full(width, np.nan), np.full(width, np.nan)
-        for row in range(block * LIMITS.block_rows, min((block + 1) * LIMITS.block_rows, height)):
-            at = starts[row] - 1
-            for column in range(width):
-                u = float(coded.u[row, column]) if use_u else cx
-                v = float(coded.v[row, column]) if use_v else cy
-                if not _is_coded(u, v):
+        first, work = block * LIMITS.block_rows, np.empty(5 * _ROW)
+        rows = min(LIMITS.block_rows, height - first)
+        ends = starts[first : first + rows].copy()
+        for begin in range(0, width, LIMITS.stretch_px):
+            end = min(begin + LIMITS.stretch_px, width)
+            # The distortion of the pixel above is an initial value that needs only one step.
+            work[:] = np.nan
+            for row in range(first, first + rows):
+                known_u = coded.u[row, begin:end] if use_u else middle_u[begin:end]
+                known_v = coded.v[row, begin:end] if use_v else middle_v[begin:end]
+                count = _count_coded(known_u, known_v)
+                if count == 0:
                     continue
-                at += 1
-                points[at, 0] = points[at, 1] = points[at, 2] = np.nan
-                a, b = slopes[0, row, column], slopes[1, row, column]
-                ray = _in_projector(a, b, pose)
-                # With the distortion taken as known the equations are linear in z.
-                x, y = (u - cx) * per_fx - shift_x[column], (v - cy) * per_fy - shift_y[column]
-                if np.isnan(x):
-                    x, y = _undistort_pixel(u, v, device, reach)
-                z = _linear_depth(x, y, ray, weights)
-                for _ in range(LIMITS.max_steps):
-                    if not (z > 0.0 and z * ray[2] + ray[5] > 0.0):
-                        break
-                    eu, ev, ju, jv, pu, pv, x, y, xd, yd = _residuals(z, ray, u, v, weights, device)
-                    square = ju * ju + jv * jv
-                    if square < LIMITS.min_sensitivity_px_per_mm * LIMITS.min_sensitivity_px_per_mm:
-                        break
-                    step = (ju * eu + jv * ev) * (1.0 / square)
-                    z += step
-                    if abs(step) <= LIMITS.depth_tolerance * z:
-                        shift_x[column], shift_y[column] = xd - x, yd - y
-                        if _is_in_image(pu, pv, size) and x * x + y * y < reach * reach:
-                            points[at, 0], points[at, 1], points[at, 2] = z * a, z * b, z
-                            mm_per_px = np.sqrt((1.0 + a * a + b * b) * (1.0 / square))
-                            pixels[at, 0], pixels[at, 1] = column, row
-                            spread[at] = coded.sigma[row, column] * mm_per_px
-                            if len(common_spread) > 0:
-                                share = coded.phase_error[row, column] / coded.sigma[row, column]
-                                common_spread[at] = spread[at] * share
-                            if len(colour) > 0:
-                                colour[at] = coded.texture[row, column]
-                            if use_u and use_v:
-                                epipolar[at] = _epipolar_distance_px(u - pu, v - pv, ju, jv * v_per_u)
-                        break
+                across, down = slopes[0, row, begin:end], slopes[1, row, begin:end]
+                if count < LIMITS.min_coded_share * (end - begin):
+                    work[_DEPTH : _DEPTH + _ROW] = np.nan
+                else:
+                    _solve_stretch(across, down, known_u, known_v, weights, device, pose, size, reach, work)
+                at = ends[row - first]
+                for j in range(end - begin):
+                    u, v, i, column = float(known_u[j]), float(known_v[j]), np.uintp(j), begin + j
+                    if not _is_coded(u, v):
+                        continue
+                    a, b = across[j], down[j]
+                    z, square, off_px = work[i + _DEPTH], work[i + _SQUARE], work[i + _EPIPOLAR]
+                    if np.isnan(z):
+                        ray, shift = _in_projector(a, b, pose), (work[i + _SHIFT_X], work[i + _SHIFT_Y])
+                        z, square, off_px, work[i + _SHIFT_X], work[i + _SHIFT_Y] = _solve_pixel(
+                            ray, u, v, shift, weights, device, size, reach
+                        )
+                    points[at, 0], points[at, 1], points[at, 2] = z * a, z * b, z
+                    pixels[at, 0], pixels[at, 1] = column, row
+                    spread[at] = coded.sigma[row, column] * np.sqrt((1.0 + a * a + b * b) / square)
+                    if len(common_spread) > 0:
+                        share = coded.phase_error[row, column] / coded.sigma[row, column]
+                        common_spread[at] = spread[at] * share
+                    if len(colour) > 0:
+                        colour[at] = coded.texture[row, column]
+                    if use_u and use_v:
+                        epipolar[at] = off_px
+                    at += 1
+                ends[row - first] = at
 
 
 @njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
