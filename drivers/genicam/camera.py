@@ -93,6 +93,10 @@ class GenicamCamera(Camera):
     def _caps(self) -> CameraCaps:
         return self._present_caps
 
+    def _temperature_c(self) -> float | None:
+        celsius = self._features.read(named.TEMPERATURE_C)
+        return None if celsius is None else float(celsius)
+
     def _configure(self, settings: CameraSettings) -> CameraSettings:
         self._forget()  # settings that are refused may have been applied in part
         exposure_us = round(settings.exposure_s * US_PER_S, 6)

@@ -14,6 +14,7 @@ EXPOSURE_US: FeatureNames = ("ExposureTime", "ExposureTimeAbs")
 GAIN_DB: FeatureNames = ("Gain",)
 GAIN_RAW: FeatureNames = ("GainRaw",)
 BLACK_LEVEL: FeatureNames = ("BlackLevel", "BlackLevelRaw")
+TEMPERATURE_C: FeatureNames = ("DeviceTemperature", "TemperatureAbs")
 SHUTTER: FeatureNames = ("SensorShutterMode", "ShutterMode")
 READOUT_US: FeatureNames = ("SensorReadoutTime", "ReadoutTimeAbs")
 RESULTING_HZ: FeatureNames = (

@@ -185,7 +185,7 @@ def _stepped(
 def _triggered(
     rig: Rig, patterns: Sequence[Pattern], settings: CameraSettings, gap_s: float
 ) -> Iterator[Frame]:
-    camera, dead_s = rig.camera, rig.file.camera.dead_time_s
+    camera, dead_s = rig.camera, rig.file.camera.dead_s(settings.exposure_s)
     timing = pulse_timing(camera, rig.projector, patterns, settings.exposure_s, dead_s, gap_s)
     camera.arm(len(patterns), "hardware")
     rig.projector.play(timing.light_s, timing.dark_s, timing.period_s)

@@ -94,7 +94,9 @@ def _ready(reported_s: float | None, end_s: float, dead_s: float | None) -> dict
 def planned_timing(rig: Rig, plan: Plan, patterns: Sequence[Pattern], exposure_s: float) -> PulseTiming:
     """Decide the times of a plan's frames, stepped or triggered."""
     if plan.trigger == "triggered":
-        return pulse_timing(rig.camera, rig.projector, patterns, exposure_s, rig.file.camera.dead_time_s)
+        return pulse_timing(
+            rig.camera, rig.projector, patterns, exposure_s, rig.file.camera.dead_s(exposure_s)
+        )
     check_stepped(rig.camera)
     step_s = plan.settle_s + exposure_s + rig.camera.caps.readout_s
     return PulseTiming(step_s, 0.0, step_s, PeriodLimit.SETTLING)

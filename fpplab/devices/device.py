@@ -212,6 +212,18 @@ class Device(ABC):
         if options:
             raise ConfigError(f"'{self.name}' has no option '{next(iter(options))}'; take it away")
 
+    @property
+    @final
+    def temperature_c(self) -> float | None:
+        """Its temperature in °C, as the device reports it; None where it has no thermometer."""
+        self._need(State.IDLE, State.ARMED, doing="temperature_c")
+        with self._guard("temperature_c"):
+            return self._temperature_c()
+
+    def _temperature_c(self) -> float | None:
+        """Read its temperature in °C; override it for a device that has a thermometer."""
+        return None
+
     def _forget(self) -> None:  # noqa: B027 - not every kind of device has something to forget
         """Drop what was known of the device; called by `open`: since closing it may have been off."""
 

@@ -64,6 +64,15 @@ class DeviceSection(Document):
         return dict(self.model_extra or {})
 
 
+class DeadTime(Document):
+    """Dead time of a camera that needs longer after longer exposures."""
+
+    fixed_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Part in s that is always the same."""
+    of_exposure: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Part that grows, as a share of the exposure."""
+
+
 class CameraSection(DeviceSection):
     """The camera and its standing settings."""
 
@@ -73,17 +82,37 @@ class CameraSection(DeviceSection):
     gain_db: float = 0.0
     """Gain in dB."""
 
-    dead_time_s: Annotated[float, Field(ge=0, le=10)] | None = None
+    dead_time_s: Annotated[float, Field(ge=0, le=10)] | DeadTime | None = None
     """Time in s after each exposure in which the camera ignores a trigger, where it is longer than the camera
-    reports; for a camera that reports nothing it is 1 ms by default. For triggered plans.
+    reports; for a camera that reports nothing it is 1 ms by default. For triggered plans. One that grows with
+    the exposure is `{fixed_s: 0.001, of_exposure: 0.1}`.
     """
+
+    def dead_s(self, exposure_s: float) -> float | None:
+        """Give the stated dead time in s after an exposure; None where none is stated.
+
+        Parameters
+        ----------
+        exposure_s : float
+            The exposure in s.
+
+        Returns
+        -------
+        float or None
+            The time in s.
+        """
+        stated = self.dead_time_s
+        if isinstance(stated, DeadTime):
+            return stated.fixed_s + stated.of_exposure * exposure_s
+        return stated
 
 
 class StageSection(DeviceSection):
     """The stage, and how far it may go."""
 
     soft_limits_mm: tuple[float, float] | None = None
-    """Positions in mm that are exceeded only with consent; by default only the travel limits it."""
+    """Positions in mm, of a turning stage in degrees, that are exceeded only with consent; by default only
+    the travel limits it."""
 
     @model_validator(mode="after")
     def _rising(self) -> Self:
@@ -116,6 +145,12 @@ class GeometrySection(Document):
     with a baseline of 200 mm grows by 10 µm."""
 
 
+def _stage_names(stages: dict[str, StageSection] | None) -> dict[str, StageSection] | None:
+    if taken := sorted({"camera", "projector", "stage", "fixture"} & set(stages or {})):
+        raise ValueError(f"'stages' has one called '{taken[0]}', as another section is; call it otherwise")
+    return stages
+
+
 class RigFile(DepthSection):
     """Schema of a rig file."""
 
@@ -137,7 +172,11 @@ class RigFile(DepthSection):
     """What the devices share, where they share anything: a simulated world, a recording, emulated wires."""
 
     stage: StageSection | None = None
-    """The linear stage, if there is one."""
+    """The linear stage that moves a device along the baseline, if there is one."""
+
+    stages: Annotated[dict[str, StageSection] | None, AfterValidator(_stage_names)] = None
+    """Further stages by name, linear or turning, which move what is measured: a turntable, a lift. A plan
+    says where they stand. None is called camera, projector, stage or fixture."""
 
     response: Curve | None = None
     """The measured response, the name of a file that `fpplab gamma` wrote or its `{a, b, g}`: it tells which
@@ -167,6 +206,7 @@ class Rig:
         self.file, self._folder, self._source = file, folder, source
         self.simulation: SharedBackend | None = None
         self.stage: Stage | None = None
+        self.stages: dict[str, Stage] = {}
         self.fixture: Fixture | None = None
         self._stack = ExitStack()
 
@@ -210,8 +250,9 @@ class Rig:
             self.camera = self._device(stack, "camera", Camera, self.file.camera, shared)  # type: ignore[type-abstract]
             self.projector = self._device(stack, "projector", Projector, self.file.projector, shared)  # type: ignore[type-abstract]
             if self.file.stage:
-                self.stage = self._device(stack, "stage", Stage, self.file.stage, shared)  # type: ignore[type-abstract]
-                self.stage.soft_limits_mm = self.file.stage.soft_limits_mm
+                self.stage = self._open_stage(stack, "stage", self.file.stage, shared)
+            for name, section in (self.file.stages or {}).items():
+                self.stages[name] = self._open_stage(stack, name, section, shared)
             if self.file.fixture:
                 self.fixture = self._device(stack, "fixture", Fixture, self.file.fixture, shared)  # type: ignore[type-abstract]
             self._stack = stack.pop_all()
@@ -317,13 +358,15 @@ class Rig:
             raise ConfigError(f"{self._source}: 'fixture' is missing, and {doing} needs one")
         return self.fixture
 
-    def need_stage(self, mm: float) -> Stage:
-        """Give the stage, if it can go there; nothing moves.
+    def need_stage(self, mm: float, name: str | None = None) -> Stage:
+        """Give a stage, if it can go there; nothing moves.
 
         Parameters
         ----------
         mm : float
             The target position.
+        name : str, optional
+            Which of the rig file's `stages`; by default its `stage`.
 
         Returns
         -------
@@ -337,7 +380,7 @@ class Rig:
         LimitError
             The position lies outside the travel.
         """
-        stage = self._stage_for(mm)
+        stage = self._stage_for(mm, name)
         stage.check(mm)
         return stage
 
@@ -363,28 +406,47 @@ class Rig:
         """
         return self._stage_for(mm).plan_move(mm)
 
-    def _stage_for(self, mm: float) -> Stage:
-        if self.stage is None:
+    def _stage_for(self, mm: float, name: str | None = None) -> Stage:
+        stage = self.stage if name is None else self.stages.get(name)
+        if stage is None and name is not None:
+            raise ConfigError(
+                f"{self._source}: 'stages.{name}' is missing, and the plan's stages need it at {mm:g}"
+            )
+        if stage is None:
             raise ConfigError(f"{self._source}: 'stage' is missing, and the plan's stage_mm {mm:g} needs one")
-        return self.stage
+        if name is None and stage.caps.unit != "mm":
+            raise ConfigError(
+                f"{self._source}: 'stage' turns, and the plan's stage_mm {mm:g} needs one that moves along a "
+                "line; name a turntable under 'stages'"
+            )
+        return stage
 
-    def place_stage(self, mm: float) -> None:
-        """Bring the stage to a position, homed first where it is not.
+    def place_stage(self, mm: float, name: str | None = None) -> None:
+        """Bring a stage to a position, homed first where it is not.
 
         Parameters
         ----------
         mm : float
-            The position in mm.
+            The position in mm; of a turning stage in degrees.
+        name : str, optional
+            Which of the rig file's `stages`; by default its `stage`.
 
         Raises
         ------
         ConfigError, DeviceError
             As `need_stage`; it does not arrive.
         """
-        stage = self.need_stage(mm)
+        stage = self.need_stage(mm, name)
         if not stage.homed:
             stage.home()
         stage.move_to(mm)
+
+    def _open_stage(
+        self, stack: ExitStack, name: str, section: StageSection, shared: SharedBackend | None
+    ) -> Stage:
+        stage = self._device(stack, name, Stage, section, shared)  # type: ignore[type-abstract]
+        stage.soft_limits_mm = section.soft_limits_mm
+        return stage
 
     def _open_simulation(self, stack: ExitStack) -> SharedBackend | None:
         if self.file.bench is None:

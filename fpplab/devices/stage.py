@@ -1,9 +1,9 @@
-"""The linear stage."""
+"""A stage: one axis that moves along a line, or turns."""
 
 import time
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import final
+from typing import Literal, final
 
 from fpplab.core.confirmation import ConfirmationRequired, confirm, how_to_confirm
 from fpplab.core.errors import LimitError, StateError
@@ -14,7 +14,8 @@ from fpplab.devices.device import Device, State
 class StageCaps:
     """What a stage can do."""
 
-    travel_mm: tuple[float, float]  # (minimum, maximum) position in mm
+    travel_mm: tuple[float, float]  # (minimum, maximum) position in mm, or of a turning axis in degrees
+    unit: Literal["mm", "deg"] = "mm"
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,11 @@ class StageMove:
 
 
 class Stage(Device):
-    """A linear stage in mm."""
+    """One axis: a linear one in mm, or a turning one, whose `StageCaps.unit` is "deg" and all mm are degrees.
+
+    Each axis of a device with several is a stage of its own; they share a connection through the rig file's
+    `bench`, or by the driver's own means.
+    """
 
     kind = "stage"
     soft_limits_mm: tuple[float, float] | None = None
@@ -143,10 +148,13 @@ class Stage(Device):
         self._check_soft_limits(doing, mm)
 
     def _check_reach(self, doing: str, mm: float) -> None:
-        lower, upper = self.caps.travel_mm
+        (lower, upper), unit = self.caps.travel_mm, self.caps.unit
         if not lower <= mm <= upper:
             raise LimitError(
-                self.name, doing, f"{mm:g} mm was asked for", f"the travel is {lower:g} to {upper:g} mm"
+                self.name,
+                doing,
+                f"{mm:g} {unit} was asked for",
+                f"the travel is {lower:g} to {upper:g} {unit}",
             )
 
     def _is_beyond_soft_limits(self, mm: float) -> bool:
@@ -158,7 +166,8 @@ class Stage(Device):
             return
         lower, upper = self.soft_limits_mm
         act = ConfirmationRequired.BEYOND_SOFT_LIMITS
-        reason = f"{mm:g} mm lies beyond the soft limits of the rig file, {lower:g} to {upper:g} mm"
+        unit = self.caps.unit
+        reason = f"{mm:g} {unit} lies beyond the soft limits of the rig file, {lower:g} to {upper:g} {unit}"
         if not confirm(act, f"{self.name}: {reason}."):
             raise LimitError(self.name, doing, reason, how_to_confirm(act))
         self._agreed_mm.add(mm)  # who confirm to go there is not asked again

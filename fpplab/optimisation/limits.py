@@ -39,7 +39,7 @@ class RigLimits:
             exposure_s=camera.exposure_s,
             bit_depths=projector.bit_depths,
             dead_time_s=camera.readout_s + camera.dark_s,
-            stage_mm=rig.stage.caps.travel_mm if rig.stage else None,
+            stage_mm=rig.stage.caps.travel_mm if rig.stage and rig.stage.caps.unit == "mm" else None,
             can_turn_projector=isinstance(rig.simulation, Turnable),
             items=None if held is None else frozenset(held),
             allows_copies=isinstance(rig.simulation, Seeded),

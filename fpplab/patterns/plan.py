@@ -121,6 +121,15 @@ class GreyLevels(Document):
         return [round(255 * k / (self.levels - 1)) for k in range(self.levels)]
 
 
+class StagePosition(Document):
+    """Where one of the rig file's further stages stands during a measurement."""
+
+    stage: str
+    """Its name in the rig file's `stages`."""
+    at: float
+    """Its position in mm; of a turning one in degrees."""
+
+
 class Plan(Document):
     """Sets of patterns in the order they are shown, how to unwrap them, and the exposure."""
 
@@ -172,6 +181,8 @@ class Plan(Document):
     """How the response itself is measured; uniform grey-level images are never corrected."""
     stage_mm: float | None = None
     """Position of the rig's stage during the measurement, in mm; by default the stage is not moved."""
+    stages: tuple[StagePosition, ...] | None = None
+    """Positions of the rig file's further `stages`, such as a turntable; by default none is moved."""
 
     depth_mm: DepthField | None = None
     """Least and greatest distance from the camera along its axis, in mm, between which everything lies that

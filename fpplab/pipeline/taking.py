@@ -36,6 +36,8 @@ def take_or_resume_session(
     # Where the stage cannot go nothing is replaced.
     if plan.stage_mm is not None:
         rig.need_stage(plan.stage_mm)
+    for entry in plan.stages or ():
+        rig.need_stage(entry.at, entry.stage)
     with exclusive_write(session_folder):
         check_disk_space(rig, plan, [session_folder], replace_existing)
         session = Session.resume(
@@ -46,6 +48,8 @@ def take_or_resume_session(
         number_frames(rig, session)
         if plan.stage_mm is not None and session.missing():
             rig.place_stage(plan.stage_mm)
+        for entry in (plan.stages or ()) if session.missing() else ():
+            rig.place_stage(entry.at, entry.stage)
         if mounted_item is not None and session.missing():
             fixture = rig.need_fixture(f"mounting the {mounted_item[0]}")
             place_item() if place_item else fixture.mount(*mounted_item)
@@ -63,6 +67,8 @@ def plan_stage_moves(rig: Rig, plan: Plan, session_folder: Path, replace_existin
     """Say what `take_or_resume_session` would do, without moving, projecting or writing anything."""
     check_disk_space(rig, plan, [session_folder], replace_existing)
     move = None if plan.stage_mm is None else asdict(rig.plan_stage_move(plan.stage_mm))
+    for entry in plan.stages or ():
+        rig.need_stage(entry.at, entry.stage)
     replaces = replace_existing and (session_folder / JOURNAL).is_file()
     return {"images": plan.frames, "stage": move, "replaces": replaces, "dry_run": True}
 

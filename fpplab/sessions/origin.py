@@ -30,6 +30,8 @@ class SessionOrigin(Origin):
     """The rig file."""
     devices: dict[str, DeviceIdentity]
     """By section of the rig file."""
+    temperatures_c: dict[str, float] | None = None
+    """Of those that have a thermometer, when the session was begun, in °C."""
     first_frame: int | None = None
     """Number that the first frame has in the simulation that takes it, from which its noise follows; None
     for a bench, and where an earlier version began the session."""
@@ -41,14 +43,23 @@ class SessionOrigin(Origin):
             "projector": rig.projector,
             "stage": rig.stage,
             "fixture": rig.fixture,
+            **rig.stages,
         }
-        reported = {name: device.info() for name, device in opened.items() if device is not None}
+        present = {name: device for name, device in opened.items() if device is not None}
+        reported = {name: device.info() for name, device in present.items()}
+        read = {name: device.temperature_c for name, device in present.items()}
+        temperatures_c = {name: celsius for name, celsius in read.items() if celsius is not None}
         devices = {
             name: DeviceIdentity(model=info.model, serial=info.serial) for name, info in reported.items()
         }
         offset = rig.camera.caps.offset
         devices["camera"] = devices["camera"].model_copy(update={"offset_px": offset})
-        return cls.now(rig_file=rig.source, devices=devices, first_frame=first_frame)
+        return cls.now(
+            rig_file=rig.source,
+            devices=devices,
+            temperatures_c=temperatures_c or None,
+            first_frame=first_frame,
+        )
 
     @property
     def camera_offset(self) -> tuple[int, int] | None:

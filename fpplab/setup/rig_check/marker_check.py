@@ -326,7 +326,7 @@ def _shows_darkness(run: MarkerRun, max_range: float) -> bool:
 
 def _timing(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float) -> PulseTiming:
     patterns = uniform_patterns(shown.tolist(), rig.projector.caps.size)
-    dead_s = rig.file.camera.dead_time_s
+    dead_s = rig.file.camera.dead_s(plan.exposure_s)
     return pulse_timing(rig.camera, rig.projector, patterns, plan.exposure_s, dead_s, gap_s)
 
 

@@ -157,7 +157,7 @@ class _Steps:
         recover_camera(rig)
         settings = rig.camera.configure(rig.camera_settings(self._plan.exposure_s, self._plan.bits))
         rig.projector.load(patterns)
-        dead_s = rig.file.camera.dead_time_s
+        dead_s = rig.file.camera.dead_s(settings.exposure_s)
         return pulse_timing(rig.camera, rig.projector, patterns, settings.exposure_s, dead_s, gap_s)
 
     def _take_samples(self, patterns: Sequence[Pattern], trigger: str, gap_s: float = 0.0) -> Floats:
