@@ -95,12 +95,12 @@ def _of_points(sample: FrameSample, decoded: Decoded, cloud: Cloud | None) -> It
     seeing = max(sample.estimate_pixels_seeing_fringes(decoded if cloud is None else cloud), 1.0)
     share = (int(decoded.valid.sum()) if cloud is None else len(cloud)) / seeing
     became = "are measured" if cloud is None else "became points"
-    meaning = f"the share of the pixels that see the fringes which {became}"
+    meaning = f"the fraction of the pixels with fringes that {became}"
     yield Criterion("points", meaning, share, limits.min_points_share, at_least=True)
     lost = uncertain_orders(decoded, sample.recording.plan)
     if lost is not None:
         share = min(sum(lost.values()) / seeing, 1.0)
-        meaning = "the share of pixels left out for their uncertain fringe order"
+        meaning = "the fraction of pixels discarded because their fringe order is uncertain"
         yield Criterion("wrong_order_risk", meaning, share, limits.max_uncertain_share)
     if cloud is not None and (off := systematic_epipolar_px(cloud)) is not None:
         meaning = "the distance of points from their epipolar lines"
@@ -128,6 +128,6 @@ def _of_fringes(sample: FrameSample, decoded: Decoded) -> Iterator[Criterion]:
     sigma = decoded.sigma[:: sample.step, :: sample.step]
     finite = sigma[np.isfinite(sigma)]
     if finite.size and planned > 0.0:
-        meaning = "the noise of the coordinate compared with that which the plan has on a white surface"
+        meaning = "the noise of the coordinate relative to that on a white surface"
         ratio = float(np.median(finite)) / planned
         yield Criterion("uncertainty", meaning, ratio, limits.max_noise_ratio)

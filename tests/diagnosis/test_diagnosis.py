@@ -222,7 +222,7 @@ def test_devices_of_another_calibration_make_a_scan_doubtful() -> None:
     )
     assert found.verdict is Verdict.DOUBTFUL
     assert found.reason == f"stale_calibration: {how}"
-    assert "give the calibration of these devices" in found.findings[0].remedy
+    assert "use the calibration of these devices" in found.findings[0].remedy
 
 
 def test_a_tiny_part_is_not_a_dark_projector() -> None:
@@ -236,7 +236,7 @@ def test_a_tiny_part_is_not_a_dark_projector() -> None:
         frame[150:156, 230:236] = lit[150:156, 230:236]
     found = diagnose_frames(replace(whole, frames=frames))
     assert [one.cause for one in found] == [NO_OVERLAP]
-    assert "as large as it should be" in found[0].remedy
+    assert "the right size" in found[0].remedy
     assert diagnose_frames(dark)[0].cause == PROJECTOR_DARK
 
 

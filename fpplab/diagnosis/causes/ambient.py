@@ -57,10 +57,10 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 AMBIENT = FaultCause(
     key="ambient",
-    meaning="There is light that does not come from the projector.",
+    meaning="There is ambient light.",
     remedy="shade the scene, switch the room's lights off, or put a filter of the lamp's colour before the "
     "lens",
-    measured="light that does not change, compared with the modulation of the widest fringes",
+    measured="constant light relative to the modulation of the widest fringes",
     limit="equal: photon noise is then 1.4 times as large; and "
     f"{AmbientLimits().min_level:g} grey levels of 255",
     seen_in="frames",

@@ -1,4 +1,4 @@
-"""The brightness of rows differs from frame to frame."""
+"""Bands of brightness move over the rows from frame to frame."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -133,10 +133,10 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
 
 BANDS = FaultCause(
     key="bands",
-    meaning="The brightness of rows differs from frame to frame.",
+    meaning="Bands of brightness move over the rows from frame to frame.",
     remedy="use a camera with a global shutter or a global reset, or expose for whole periods of the lamp "
     "and of the projector's sequence",
-    measured="scatter of the rows' brightness between frames, as far as neighbouring rows share it",
+    measured="scatter of the brightness of rows between frames, correlated between neighbouring rows",
     limit=f"{100 * BandsLimits().max_scatter:g} %",
     seen_in="frames",
     detectors=(Detector(DetectionStage.FRAMES, _find),),

@@ -25,11 +25,11 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 CAMERA_FOCUS = FaultCause(
     key="camera_focus",
-    meaning="The camera is out of focus: edges are as blurred as fringes.",
-    remedy="focus the camera at the part's distance, or close its aperture; then characterise again",
-    measured="contrast of the finest fringes compared with the widest, where edges in the image "
-    "are blurred as much",
-    limit="half of that in focus",
+    meaning="The camera is out of focus: edges are as blurred as the fringes.",
+    remedy="focus the camera at the distance of the part, or close its aperture; then characterise again",
+    measured="contrast of the finest fringes relative to the widest, where edges in the image are "
+    "equally blurred",
+    limit="half of the contrast in focus",
     seen_in="frames",
     detectors=(Detector(DetectionStage.BLUR, _find),),
     picture=Picture(Needs.FRAMES, _draw),

@@ -133,9 +133,9 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 FLICKER = FaultCause(
     key="flicker",
     meaning="Frames differ in brightness.",
-    remedy="expose for whole periods of the lamp and of the mains, and let the lamp warm up",
-    measured="scatter of the frames' brightness, by what sinusoids and harmonics leave; phase error that it "
-    "causes",
+    remedy="set the exposure to whole periods of the lamp and of the mains, and let the lamp warm up",
+    measured="scatter of the brightness of frames, from the residuals of sinusoids and harmonics; "
+    "phase error it causes",
     limit=f"{100 * FlickerLimits().max_scatter:g} %, and the rounding of grey levels; "
     f"{FlickerLimits().min_phase_error_rad:g} rad, and the noise",
     seen_in="frames",

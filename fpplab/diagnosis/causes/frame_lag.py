@@ -1,4 +1,4 @@
-"""Something of the frame before is left in each frame."""
+"""Each frame contains a remnant of the previous frame."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -30,10 +30,11 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 FRAME_LAG = FaultCause(
     key="frame_lag",
-    meaning="Something of the frame before is left in each frame.",
-    remedy="show every pattern for longer before the exposure begins, and see to whether camera and "
-    "projector run in step",
-    measured="share of the last frame of a set in the first one of the next; phase error that it causes",
+    meaning="Each frame contains a remnant of the previous frame.",
+    remedy="show each pattern for longer before the exposure begins, and check that camera and "
+    "projector are synchronised",
+    measured="fraction of the last frame of a set that remains in the first frame of the next; phase "
+    "error it causes",
     limit=f"{FrameLagLimits().min_phase_error_rad:g} rad, and the noise",
     seen_in="frames",
     detectors=(Detector(DetectionStage.FRAMES, _find),),

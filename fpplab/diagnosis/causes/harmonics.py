@@ -1,4 +1,4 @@
-"""The fringes are bent as no power law bends them."""
+"""The fringes are distorted in a way that no power law explains."""
 
 from collections.abc import Iterator, Sequence
 
@@ -29,11 +29,11 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 HARMONICS = FaultCause(
     key="harmonics",
-    meaning="The fringes are bent as no power law bends them.",
-    remedy="switch off the projector's picture enhancement and tone curves, or use a plan of five steps or "
-    "more; 'fpplab gamma' fits a power law, which does not correct this",
-    measured="phase error N times in a period of fringes of N images, N > 3, compared with what the second "
-    "harmonic explains by a power law",
+    meaning="The fringes are distorted in a way that no power law explains.",
+    remedy="switch off image enhancement and tone curves of the projector, or use a plan with at "
+    "least five steps; 'fpplab gamma' fits a power law, which does not correct this",
+    measured="phase error with N cycles per period for sets of N > 3 images, relative to what a power "
+    "law with the same second harmonic would cause",
     limit=f"{FringeShapeLimits().min_harmonic_rad:g} rad, the noise, and twice that",
     seen_in="coordinates",
     detectors=(Detector(DetectionStage.FRAMES, _find),),

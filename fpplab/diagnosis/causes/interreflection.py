@@ -1,4 +1,4 @@
-"""Parts of the scene light each other."""
+"""Surfaces of the scene light each other (interreflection)."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,8 @@ from fpplab.diagnosis.points import DirectionLimits, changes_along_image
 from fpplab.diagnosis.sample import MEDIAN, FrameSample
 from fpplab.phase.fine_plan import error_ratio, fine_plan
 
-COAT = "coat or turn the part so that its faces do not light each other, or cover what stands next to it"
+COAT = "coat or turn the part so that its faces do not light each other, or cover objects next "
+"to it"
 
 
 class InterreflectionLimits(LimitsSection):
@@ -193,11 +194,11 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
 
 INTERREFLECTION = FaultCause(
     key="interreflection",
-    meaning="Parts of the scene light each other.",
+    meaning="Surfaces of the scene light each other (interreflection).",
     remedy=f"{COAT}, or scan with fine fringes alone, of a plan that `fpplab plan fine` writes",
-    measured="phase of wide fringes compared with that of fine ones, as far as neighbours share it and no "
-    "phase explains it; share of the image in which the coordinate runs against the calibration, as the "
-    "image of a surface in a mirror does",
+    measured="difference in phase between wide and fine fringes that neighbours share and no "
+    "phase-dependent error explains; fraction of the image in which the coordinate runs "
+    "opposite to the calibration, as in a mirror image",
     limit=f"{InterreflectionLimits().max_phase_error_rad:g} rad RMS; "
     f"{100 * InterreflectionLimits().max_mirrored_share:g} %",
     seen_in="coordinates",

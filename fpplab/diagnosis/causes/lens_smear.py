@@ -132,10 +132,10 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
 
 LENS_SMEAR = FaultCause(
     key="lens_smear",
-    meaning="A part of the image is blurred, as by a drop or grease on a lens.",
-    remedy="look at the lenses of camera and projector where the picture shows it, clean them, scan again",
-    measured="contrast of the finest fringes beside the widest, as the blur of each pixel, less what depth "
-    "and place in the image explain; the next wider fringes must lose as little as blur takes",
+    meaning="Part of the image is blurred, as by a drop or grease on a lens.",
+    remedy="clean the lenses of camera and projector where the picture shows the blur, and scan again",
+    measured="blur of each pixel from the contrast of the finest fringes relative to the widest, minus "
+    "the part explained by depth and image position; the next wider fringes must confirm it",
     limit=f"{LensSmearLimits().max_blur_px:g} px in {100 * LensSmearLimits().min_share:g} % of the pixels",
     seen_in="points",
     detectors=(Detector(DetectionStage.POINTS, _find),),

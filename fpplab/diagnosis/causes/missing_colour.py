@@ -83,9 +83,9 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 MISSING_COLOUR = FaultCause(
     key="missing_colour",
-    meaning="Every third image is dark: one colour of the images that carry three patterns is missing.",
+    meaning="Every third image is dark: one colour channel of images with three patterns is missing.",
     remedy="check the LED, the cable and the colour channel of every third image; send images of 24 bits",
-    measured="brightness of every third frame compared with that of the others",
+    measured="brightness of every third frame relative to the others",
     limit=f"{100 * MissingColourLimits().min_brightness:g} %, and "
     f"{MissingColourLimits().min_scatters:g} times their scatter",
     seen_in="frames, check",

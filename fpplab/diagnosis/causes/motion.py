@@ -1,4 +1,4 @@
-"""A part moved evenly while it was scanned."""
+"""A part moved uniformly during the scan."""
 
 from collections.abc import Iterator, Sequence
 
@@ -68,12 +68,12 @@ def unseen_motion(evidence: Evidence) -> str:
 
 MOTION = FaultCause(
     key="motion",
-    meaning="A part moved evenly while it was scanned.",
-    remedy="keep the part still, or scan with fewer frames; motion of up to two of the finest fringes is "
-    "compensated where sets have more than three steps",
-    measured="displacement along which the frames of a part, followed and fitted at the phases that they "
-    "were taken at, leave least; what it still costs is in the uncertainty",
-    limit="what is left of its error, or all of it where it is not compensated, beside what is stated",
+    meaning="A part moved uniformly during the scan.",
+    remedy="keep the part still, or use a plan with fewer frames; uniform motion of up to two of the "
+    "finest fringes is compensated if the sets have more than three steps",
+    measured="displacement that minimises the residuals of the frames when each is fitted at the "
+    "position where it was taken; the remaining error is included in the uncertainty",
+    limit="its error after compensation, or all of it if not compensated, exceeds the stated uncertainty",
     seen_in="points",
     detectors=(Detector(DetectionStage.POINTS, _find),),
     shown_by="the evidence alone",

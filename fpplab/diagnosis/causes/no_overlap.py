@@ -1,4 +1,4 @@
-"""The projector lights next to nothing of what the camera sees."""
+"""The projector lights hardly anything that the camera sees."""
 
 from collections.abc import Iterator, Sequence
 
@@ -13,8 +13,8 @@ from fpplab.diagnosis.visibility import VisibilityLimits
 def light_elsewhere(excess: float) -> Finding:
     """Say what else than a dark projector shows no light anywhere in the image."""
     text = (
-        "no light of the projector anywhere: it may be dark, or light another place, which images do not "
-        "tell apart"
+        "no light of the projector anywhere: it may be dark or point elsewhere; images cannot "
+        "distinguish these"
     )
     return Finding(NO_OVERLAP, text, excess)
 
@@ -24,8 +24,8 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     limit, share = visibility.limits.min_lit_share, visibility.lit_share
     if visibility.tiny_part_share is not None:
         advice = (
-            "check whether the part is as large as it should be (a mesh is in mm), near enough, and where "
-            "camera and projector both look"
+            "check whether the part has the right size (meshes are in mm), is near enough, and is in "
+            "view of both camera and projector"
         )
         yield Finding(
             NO_OVERLAP,
@@ -64,9 +64,9 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 NO_OVERLAP = FaultCause(
     key="no_overlap",
-    meaning="The projector lights next to nothing of what the camera sees.",
-    remedy="turn camera and projector to the same place, at the distance of the part",
-    measured="share of the image in which there are fringes; behind `projector_dark` where there are none",
+    meaning="The projector lights hardly anything that the camera sees.",
+    remedy="point camera and projector at the same place, at the distance of the part",
+    measured="fraction of the image with fringes; ranked after `projector_dark` if there are none",
     limit=f"{100 * VisibilityLimits().min_lit_share:g} %",
     seen_in="frames",
     detectors=(Detector(DetectionStage.VISIBILITY, _find),),

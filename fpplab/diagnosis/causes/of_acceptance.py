@@ -29,51 +29,51 @@ FEW_POSITIONS = _cause(
     key="few_positions",
     meaning="A standard was measured in fewer positions than an acceptance test needs.",
     remedy="measure the standard in more positions, spread over the measuring volume",
-    measured="positions of a standard compared with those that its file asks for",
+    measured="number of positions relative to that required by the standard file",
     limit="all of them",
 )
 NO_LIMITS = _cause(
     key="no_limits",
-    meaning="No maximum permissible error is stated, so that nothing is judged.",
-    remedy="state them in the standard's file, or with --mpe PF=…,SD=…",
+    meaning="No maximum permissible error is stated, so nothing is judged.",
+    remedy="state the errors in the standard file, or with --mpe PF=…,SD=…",
     measured="whether any maximum permissible error is stated",
     limit="one",
 )
 FORM = _error(
     key="form",
-    meaning="A measured sphere or plane is bent: neighbouring pixels share the error.",
+    meaning="A measured sphere or plane is distorted: neighbouring pixels have the same error.",
     remedy="measure the response with 'fpplab gamma', take more steps, and characterise again with poses "
     "over the whole volume; coat shiny standards",
-    measured="PF and F compared with what is permitted, where neighbouring pixels share the error",
+    measured="PF and F relative to their limits, with errors shared by neighbouring pixels",
     limit="the permissible error; half of the variance shared",
 )
 NOISE = _error(
     key="noise",
-    meaning="A measured sphere or plane is rough: neighbouring pixels do not share the error.",
+    meaning="A measured sphere or plane is noisy: neighbouring pixels have independent errors.",
     remedy="expose longer or open the aperture, take more steps or more stripes, and shade the scene",
-    measured="PF and F compared with what is permitted, where neighbouring pixels do not share the error",
+    measured="PF and F relative to their limits, with independent errors of neighbouring pixels",
     limit="the permissible error; half of the variance shared",
 )
 SCALE = _error(
     key="scale",
-    meaning="All lengths are wrong by the same ratio.",
-    remedy="measure the spacing of the characterisation's board and correct its target file, then "
-    "characterise again",
-    measured="mean relative error of a ball bar's spacings, which their scatter does not explain",
+    meaning="All lengths are wrong by the same factor.",
+    remedy="measure the point spacing of the board and correct its target file, then characterise again",
+    measured="mean relative error of the sphere spacings that their scatter does not explain",
     limit="the permissible SD; 1 %",
 )
 UNEVEN_LENGTHS = _error(
     key="uneven_lengths",
-    meaning="Lengths are wrong by a ratio that depends on where they are measured.",
-    remedy="characterise again, with more poses that cover the whole volume, and keep temperature and "
-    "lenses as they are",
-    measured="mean relative error of a ball bar's spacings, where their scatter explains it",
+    meaning="Lengths are wrong by a factor that depends on their position.",
+    remedy="characterise again with more poses that cover the whole volume, at constant temperature "
+    "and lens settings",
+    measured="mean relative error of the sphere spacings that their scatter explains",
     limit="the permissible SD",
 )
 SPHERE_SIZE = _error(
     key="sphere_size",
-    meaning="Spheres are measured too large or too small although lengths are right.",
-    remedy="use matt, opaque spheres of known diameter, and check for a bent response with 'fpplab check'",
-    measured="PS that is left when the scale is taken out",
+    meaning="Spheres are measured too large or too small although lengths are correct.",
+    remedy="use matt, opaque spheres of known diameter, and check the linearity of the response with "
+    "'fpplab check'",
+    measured="PS after removing the error of scale",
     limit="the permissible PS",
 )

@@ -64,85 +64,85 @@ DEVICE = _cause(
     key="device",
     meaning="A device reported an error.",
     remedy="check its cable, power and drivers; 'fpplab devices' lists what is connected",
-    measured="what a device reports",
+    measured="errors reported by a device",
     limit="any error",
     shown_by=DEVICE_REPORT,
 )
 NO_TRIGGER = _of_marker(
     key="no_trigger",
     meaning="No trigger pulse reaches the camera.",
-    remedy="check the trigger cable, the camera's `line`, its input's voltage, and the projector's output 1",
-    measured="frames of a triggered run of uniform images",
-    limit="none came",
+    remedy="check the trigger cable, the camera's `line` and input voltage, and trigger output 1 of "
+    "the projector",
+    measured="number of frames in a triggered run of uniform images",
+    limit="none received",
 )
 TRIGGER_EDGE = _of_marker(
     key="trigger_edge",
     meaning="The camera exposes at the wrong edge of the trigger pulse.",
-    remedy="choose the other `edge` of the camera's trigger, or the other polarity (`inverted`) of the "
-    "projector's output 1; check the trigger's delay",
-    measured="frames of a run with darkness between the images",
-    limit="they show the darkness",
+    remedy="select the other `edge` of the camera trigger, or the other polarity (`inverted`) of "
+    "trigger output 1 of the projector; check the trigger delay",
+    measured="frames of a run with dark intervals between the images",
+    limit="the frames are dark",
 )
 CAMERA_NOT_READY = _of_marker(
     key="camera_not_ready",
     meaning="The next trigger comes before the camera is ready.",
     remedy="state a longer `dead_time_s` in the rig file's section of the camera",
-    measured="frames of runs with more time between triggers",
-    limit="all come then, and not before",
+    measured="number of frames in runs with longer trigger periods",
+    limit="all received then, but not before",
 )
 TRIGGER_SHIFTED = _of_marker(
     key="trigger_shifted",
-    meaning="Triggered exposures begin after their patterns, or before them.",
+    meaning="Triggered exposures begin before or after their patterns.",
     remedy="reduce `delay_us` and `debounce_us` of the camera's trigger, choose the edge at which a "
     "pattern begins, or use a GPIO line",
-    measured="levels of the triggered run as mixtures of those of the stepped run",
-    limit="a neighbour's share of 3 % or more",
+    measured="grey levels of the triggered run as mixtures of those of the stepped run",
+    limit="3 % or more of a neighbouring pattern",
 )
 SLOW_DISPLAY = _of_marker(
     key="slow_display",
-    meaning="The display is slower than the plan waits.",
-    remedy="give the plan a longer settle_s",
-    measured="grey levels seen compared with those shown, at longer settling times",
-    limit="in step twice at a longer one, out of step twice at the plan's",
+    meaning="The display is slower than the settling time of the plan.",
+    remedy="increase settle_s in the plan",
+    measured="grey levels seen relative to those shown, at longer settling times",
+    limit="twice in step at a longer time, twice out of step at the plan's",
 )
 OUT_OF_STEP = _of_marker(
     key="out_of_step",
-    meaning="Frames show other patterns than their own.",
-    remedy="check the trigger, or give the plan a longer settle_s",
-    measured="the same as `slow_display`; slips of the trigger that explain them",
+    meaning="Frames show patterns other than their own.",
+    remedy="check the trigger, or increase settle_s in the plan",
+    measured="as `slow_display`; trigger slips that explain the frames",
     limit="1.5 % of their range RMS",
 )
 NO_PERMISSION = _cause(
     key="no_permission",
-    meaning="The user may not open a device.",
-    remedy="copy the udev rules of docs/hardware.md, join the group that they name, and plug the device in "
-    "again",
-    measured="whether the system refuses to open a device",
+    meaning="The user lacks permission to open a device.",
+    remedy="install the udev rules of docs/hardware.md, join the group they name, and reconnect the device",
+    measured="whether the operating system refuses to open a device",
     limit="any refusal",
     shown_by=DEVICE_REPORT,
 )
 SLOW_LINK = _cause(
     key="slow_link",
-    meaning="The camera's connection carries fewer frames than the plan takes.",
+    meaning="The camera's connection is too slow for the frame rate of the plan.",
     remedy="use a USB 3 port and cable, fewer bits, or a longer period between frames",
-    measured="frames that the camera's link carries, by the rate that its driver states",
-    limit="those of the plan",
+    measured="frame rate of the camera's connection, as stated by its driver",
+    limit="frame rate of the plan",
     picture=RATE_PICTURE,
 )
 SLOW_DISK = _cause(
     key="slow_disk",
-    meaning="Frames come faster than they are written.",
+    meaning="Frames arrive faster than they can be written.",
     remedy="write to a local disk, or take fewer frames per second",
-    measured="frames per second that the folder of `--out` takes, or the working folder",
-    limit="those of a triggered plan",
+    measured="frames per second that can be written to the folder of `--out`, or the working folder",
+    limit="frame rate of a triggered plan",
     picture=RATE_PICTURE,
 )
 MAINS_FLICKER = _cause(
     key="mains_flicker",
-    meaning="The light follows the mains.",
-    remedy="expose for whole periods of the light, or run the lamp from direct current",
-    measured="scatter of the brightness of further frames, exposed as the plan says and for whole periods "
-    "of 100 and 120 Hz",
-    limit="0.75 %, of which whole periods leave at most 0.4",
+    meaning="The light flickers with the mains.",
+    remedy="set the exposure to whole periods of the light, or supply the lamp with direct current",
+    measured="scatter of the brightness of extra frames, with the exposure of the plan and with whole "
+    "periods of 100 and 120 Hz",
+    limit="0.75 %, reduced to at most 0.4 of it by whole periods",
     picture=Picture(Needs.FRAMES, _draw_brightness),
 )

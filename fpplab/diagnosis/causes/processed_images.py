@@ -1,4 +1,4 @@
-"""The images were compressed or filtered after the sensor."""
+"""The images were compressed or filtered after they were recorded."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -35,10 +35,10 @@ def _find(evidence: Evidence, before: Sequence[Finding]) -> Iterator[Finding]:
 
 PROCESSED_IMAGES = FaultCause(
     key="processed_images",
-    meaning="The images were compressed or filtered after the sensor.",
-    remedy="record without loss, as PNG or TIFF, and switch off what camera and programs do to images: noise "
-    "reduction, sharpening, scaling",
-    measured="errors of the finest fringes' phase that neighbouring pixels share",
+    meaning="The images were compressed or filtered after they were recorded.",
+    remedy="record without loss, as PNG or TIFF, and switch off image processing in camera and "
+    "programs: noise reduction, sharpening, scaling",
+    measured="errors in the phase of the finest fringes that neighbouring pixels share",
     limit=f"{ProcessedImagesLimits().min_phase_error_rad:g} rad, and the noise",
     seen_in="frames",
     detectors=(Detector(DetectionStage.BLUR, _find),),  # after what changes light and frames

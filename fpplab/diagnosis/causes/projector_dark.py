@@ -35,9 +35,8 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 PROJECTOR_DARK = FaultCause(
     key="projector_dark",
     meaning="There are no fringes in the image.",
-    remedy="switch the lamp and its LEDs on, and take off the lens cap; try 'fpplab check'",
-    measured="modulation of the widest fringes compared with its noise, and whether neighbouring pixels "
-    "agree",
+    remedy="switch on the lamp and its LEDs, and remove the lens cap; then run 'fpplab check'",
+    measured="modulation of the widest fringes relative to its noise, and agreement of neighbouring pixels",
     limit=f"{VisibilityLimits().min_fringe_sigmas:g} times the noise, "
     f"{VisibilityLimits().min_modulation:g} grey levels",
     seen_in="frames",

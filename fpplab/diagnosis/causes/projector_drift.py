@@ -46,14 +46,14 @@ def _light(sample: FrameSample) -> float:
 
 PROJECTOR_DRIFT = FaultCause(
     key="projector_drift",
-    meaning="The projector's picture walks while a scan is taken, or from pose to pose.",
-    remedy="let the projector warm up with its light on for half an hour, fix it, its cables and the part, "
-    "and measure again; verify what is measured by reference marks. A plan of few steps shows drift where "
-    "its finest set is the first and the last",
-    measured="ramp of the phases of the frames of a set, by what it displaces; steps of the projector's "
-    "coordinates of whole poses, without the worst pose, where the camera's scale stays the same. Both are "
-    "in the uncertainty",
-    limit="what noise and vibration explain once in 10,000 times; in a scan also what else is stated",
+    meaning="The projector image drifts during a scan or between poses.",
+    remedy="warm up the projector for half an hour with its light on, fix projector, cables and "
+    "part, and measure again; use reference marks to verify the geometry. A plan with few "
+    "steps shows drift if its finest set is both first and last",
+    measured="displacement by a ramp of phase over the frames of a set; shifts of the projector "
+    "coordinates between poses at constant image scale, without the worst pose. Both are "
+    "included in the uncertainty",
+    limit="a chance of 1 in 10,000 by noise and vibration; in a scan also the other stated uncertainty",
     seen_in="points, characterise",
     detectors=(Detector(DetectionStage.POINTS, _find),),
     shown_by=f"{SHOWN_BY}; in a scan the evidence alone",

@@ -20,11 +20,11 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 PROJECTOR_FOCUS = FaultCause(
     key="projector_focus",
-    meaning="The projector is out of focus: fringes are blurred, edges are not.",
-    remedy="focus the projector at the part's distance, then characterise again; or use a plan with fewer "
-    "stripes",
-    measured="contrast of the finest fringes compared with the widest, where edges are sharper than that",
-    limit="half of that in focus",
+    meaning="The projector is out of focus: the fringes are blurred, edges are not.",
+    remedy="focus the projector at the distance of the part, then characterise again; or use a plan "
+    "with fewer stripes",
+    measured="contrast of the finest fringes relative to the widest, where edges are sharper",
+    limit="half of the contrast in focus",
     seen_in="frames",
     detectors=(Detector(DetectionStage.BLUR, _find),),
     picture=Picture(Needs.FRAMES, _draw),

@@ -82,9 +82,9 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 RESPONSE = FaultCause(
     key="response",
-    meaning="The fringes are no sinusoids: the response is not linear.",
-    remedy="measure the response with 'fpplab gamma' and name it in the plan, or take more steps",
-    measured="harmonics of the fringes; phase error that they cause",
+    meaning="The fringes are not sinusoidal: the response is not linear.",
+    remedy="measure the response with 'fpplab gamma' and refer to it in the plan, or use more steps",
+    measured="harmonics of the fringes; phase error they cause",
     limit=f"{100 * ResponseLimits().max_harmonics_share:g} %; "
     f"{FringeShapeLimits().min_harmonic_rad:g} rad, and the noise",
     seen_in="frames, coordinates",

@@ -1,4 +1,4 @@
-"""Rows or columns of the images are interchanged, or moved around the end."""
+"""Rows or columns of the images are interchanged or wrapped around."""
 
 from collections.abc import Iterator, Sequence
 
@@ -123,11 +123,11 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 ROW_ORDER = FaultCause(
     key="row_order",
-    meaning="Rows or columns of the images are interchanged, or moved around the end.",
-    remedy="see to how the camera's driver, or the program that wrote the images, puts fields and taps of "
-    "the sensor together, and record again",
-    measured="change of the phase from odd to even rows beside that from even to odd ones; change of the "
-    "coordinate from the last column to the first, beside that between neighbours",
+    meaning="Rows or columns of the images are interchanged or wrapped around.",
+    remedy="check how the camera driver, or the program that wrote the images, combines fields or "
+    "taps of the sensor, and record again",
+    measured="change of phase from odd to even rows relative to that from even to odd; change of the "
+    "coordinate from the last column to the first relative to that between neighbours",
     limit=f"{RowOrderLimits().max_ratio:g} times, in squares; {RowOrderLimits().max_steps_around:g} times",
     seen_in="frames",
     detectors=(Detector(DetectionStage.FRAMES, _find), Detector(DetectionStage.POINTS, _find_moved_around)),

@@ -1,4 +1,4 @@
-"""The image is at its full scale."""
+"""The image is saturated."""
 
 from collections.abc import Iterator, Sequence
 
@@ -26,9 +26,9 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 SATURATED = FaultCause(
     key="saturated",
-    meaning="The image is at its full scale.",
-    remedy="shorten exposure_s, dim the lamp, or coat shiny parts",
-    measured="share of the lit pixels that are saturated in a frame",
+    meaning="The image is saturated.",
+    remedy="reduce exposure_s, dim the lamp, or coat shiny parts",
+    measured="fraction of the lit pixels that are saturated in a frame",
     limit=f"{100 * GreyLevelLimits().max_saturated_share:g} %",
     seen_in="frames",
     detectors=(Detector(DetectionStage.FRAMES, _find),),

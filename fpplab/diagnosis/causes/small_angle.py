@@ -1,4 +1,4 @@
-"""Camera and projector look from nearly the same direction."""
+"""Camera and projector view the part from nearly the same direction."""
 
 from collections.abc import Iterator, Sequence
 
@@ -41,8 +41,8 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 SMALL_ANGLE = FaultCause(
     key="small_angle",
-    meaning="Camera and projector look from nearly the same direction.",
-    remedy="move the projector away from the camera, to 15 to 30 degrees, and characterise again",
+    meaning="Camera and projector view the part from nearly the same direction.",
+    remedy="move the projector away from the camera, to an angle of 15 to 30 degrees, and characterise again",
     measured="angle between the rays of camera and projector",
     limit=f"{SmallAngleLimits().min_angle_deg:g} degrees",
     seen_in="points",

@@ -1,4 +1,4 @@
-"""The rig is no longer the one that was calibrated."""
+"""The rig has changed since it was calibrated."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ class StaleCalibrationLimits(LimitsSection):
 
 def _find_other_devices(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     if evidence.geometry and evidence.geometry.other_devices:
-        advice = "give the calibration of these devices, or characterise them"
+        advice = "use the calibration of these devices, or characterise them"
         # Half of what makes points useless: they may be far off, or right by chance.
         excess = 0.5 * STALE_CALIBRATION.useless_from
         yield Finding(STALE_CALIBRATION, evidence.geometry.other_devices, excess, advice)
@@ -89,11 +89,11 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
 
 STALE_CALIBRATION = FaultCause(
     key="stale_calibration",
-    meaning="The rig is no longer the one that was calibrated.",
+    meaning="The rig has changed since it was calibrated.",
     remedy="characterise the rig again; something was moved, refocused or exchanged, "
     "or the images show another region of the sensor",
-    measured="distance of points from their epipolar lines, over groups of neighbours; share of pixels whose "
-    "fringes along a guided axis lie a quarter of a period off; reference marks",
+    measured="distance of points from their epipolar lines, averaged over neighbours; fraction of "
+    "pixels with fringes a quarter of a period off along a guided axis; reference marks",
     limit=f"{StaleCalibrationLimits().max_epipolar_px:g} projector px, and the waves of three steps; "
     f"{GUIDED_AXIS.max_off_share:.0%}",
     seen_in="points, two axes",

@@ -1,4 +1,4 @@
-"""The image uses a small part of its range."""
+"""The image is underexposed."""
 
 from collections.abc import Iterator, Sequence
 
@@ -55,9 +55,9 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 UNDEREXPOSED = FaultCause(
     key="underexposed",
-    meaning="The image uses a small part of its range.",
-    remedy="lengthen exposure_s, open the camera's aperture, or brighten the lamp",
-    measured="what the brightest lit pixels reach",
+    meaning="The image is underexposed.",
+    remedy="increase exposure_s, open the camera's aperture, or brighten the lamp",
+    measured="grey level of the brightest lit pixels",
     limit=f"{100 * GreyLevelLimits().min_peak_share:g} % of full scale",
     seen_in="frames",
     detectors=(

@@ -54,8 +54,8 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 UNDERSAMPLED = FaultCause(
     key="undersampled",
     meaning="The finest stripes are too narrow for the camera's pixels.",
-    remedy="use a plan with fewer stripes, less binning, or go nearer",
-    measured="camera pixels that a stripe covers",
+    remedy="use a plan with fewer stripes or less binning, or move the camera closer",
+    measured="camera pixels per stripe",
     limit=f"{UndersampledLimits().min_px_per_stripe:g}",
     seen_in="points",
     detectors=(Detector(DetectionStage.POINTS, _find),),

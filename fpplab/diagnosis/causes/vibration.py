@@ -75,7 +75,7 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 VIBRATION = FaultCause(
     key="vibration",
     meaning="The scene moved between the fringe sets.",
-    remedy="fix the part, and keep stage, fans and people still; trigger the frames",
+    remedy="fix the part, avoid motion of stage, fans and people, and use triggered frames",
     measured="displacement between the mean images of the fringe sets",
     limit=f"{VibrationLimits().max_shift_px:g} px, and "
     f"{VibrationLimits().min_sigmas:g} standard uncertainties",

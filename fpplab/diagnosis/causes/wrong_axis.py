@@ -1,4 +1,4 @@
-"""The fringes' coordinate hardly changes with depth."""
+"""The fringe coordinate hardly changes with depth."""
 
 from collections.abc import Iterator, Sequence
 
@@ -49,9 +49,9 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 WRONG_AXIS = FaultCause(
     key="wrong_axis",
-    meaning="The fringes' coordinate hardly changes with depth.",
+    meaning="The fringe coordinate hardly changes with depth.",
     remedy="use a plan with fringes along the other axis, or along both",
-    measured="change of the coordinate with depth along the plan's axis, compared with the greatest",
+    measured="change of the coordinate with depth along the axis of the plan, relative to the largest",
     limit="half",
     seen_in="points",
     detectors=(Detector(DetectionStage.POINTS, _find),),

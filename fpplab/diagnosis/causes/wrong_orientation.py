@@ -13,11 +13,12 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
 WRONG_ORIENTATION = FaultCause(
     key="wrong_orientation",
-    meaning="Images are turned or mirrored, or the fringes' steps run the other way.",
-    remedy="give images that stand as those of the characterisation, or characterise as the devices stand",
-    measured="direction of the fringes' coordinates along the image compared with the calibration's; "
-    "distance of points from their epipolar lines with the images turned or mirrored, the steps reversed "
-    "or the axes exchanged",
+    meaning="Images are rotated or mirrored, or the phase steps run in the other direction.",
+    remedy="use images with the orientation of the characterisation, or characterise the devices as "
+    "they are now",
+    measured="direction of the fringe coordinates in the image relative to the calibration; distance "
+    "of points from their epipolar lines with the images rotated or mirrored, the steps "
+    "reversed or the axes exchanged",
     limit=f"the other direction; {PlanCheckLimits().max_epipolar_px:g} projector px with it undone",
     seen_in="frames",
     picture=Picture(Needs.FRAMES, _draw),

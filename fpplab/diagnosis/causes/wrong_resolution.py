@@ -1,4 +1,4 @@
-"""The picture is scaled before it is shown, or the lattice of mirrors is another."""
+"""The image is scaled before it is projected, or the projector has a different lattice."""
 
 from collections.abc import Iterator, Sequence
 
@@ -201,11 +201,11 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
 
 WRONG_RESOLUTION = FaultCause(
     key="wrong_resolution",
-    meaning="The picture is scaled before it is shown, or the lattice of mirrors is another.",
-    remedy="set the display to the projector's native resolution, without scaling, keystone or overscan, "
-    "and state the projector's lattice as it is",
-    measured="error of the coordinate that repeats along the projector's pixels, but not with the fringes; "
-    "the calibration's ratio of focal lengths compared with that of the lattice",
+    meaning="The image is scaled before it is projected, or the projector has a different lattice.",
+    remedy="set the display to the projector's native resolution, without scaling, keystone or "
+    "overscan, and state the correct lattice of the projector",
+    measured="periodic error of the coordinate along projector pixels that does not follow the "
+    "fringes; ratio of focal lengths in the calibration relative to that of the lattice",
     limit=f"{WrongResolutionLimits().max_moire_px:g} px; {100 * WrongResolutionLimits().max_stretch:g} %",
     seen_in="coordinates, points",
     detectors=(
