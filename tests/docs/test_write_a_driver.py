@@ -15,6 +15,7 @@ from fpplab.devices.backends import load_backend
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "how-to" / "write-a-driver.md"
 LONGEST = 80
+ALLOWED = "acme_camera,raspberry_camera,rotary_stage"
 ALL, CAMERA_ALONE = "tests/conformance", "tests/conformance/test_camera.py"
 WITHOUT_LIGHT = ("-m", "not light")
 BENCH = """bench: {backend: "tests.docs.acme:AcmeBench"}
@@ -50,7 +51,7 @@ def run_suite(folder: Path, code: str, rig: str, *words: str) -> subprocess.Comp
     command = [sys.executable, "-m", "pytest", *words, "-q", "-p", "no:cacheprovider"]
     command += ["--rig", str(folder / "rig.yaml")]
     path = os.pathsep.join(map(str, (folder, ROOT)))
-    environment = {**os.environ, "PYTHONPATH": path, "FPPLAB_ALLOW_BACKEND": "acme_camera"}
+    environment = {**os.environ, "PYTHONPATH": path, "FPPLAB_ALLOW_BACKEND": ALLOWED}
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
 
