@@ -17,16 +17,41 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from fpplab.phase.chunks import compiled_lean
 
-LANES = 64  # scores that are compared at a time (chosen: those beside a candidate, without a branch)
-_CODES = 32  # codes that are correlated at a time (chosen: two to four vectors)
-_NEAR = 16  # candidates to either side of that of the pixel before that are tried first (chosen)
-_EXACT = 8  # grid points to either side of the best one whose spread is bounded quickly (chosen)
-_BESIDE = 2  # neighbours of a candidate to either side (chosen: those that noise takes for it)
+LANES = 64  # codes that are correlated at a time (chosen: four vectors, whose sums overlap)
+BATCH = 64  # pixels whose scores are kept, for the rest to be computed of many at a time (chosen: the cache)
+_SMALL = 1e-30  # what keeps quotients finite (chosen)
+_VECTOR = 16  # likelihoods that are computed at a time (chosen: one vector)
+BESIDE = 2  # neighbours of a candidate to either side (chosen: those that noise takes for it)
 _NARROW = 4.0 - 1.0 / 12.0  # variance in squares of grid points (derived: two, less that within a point)
 _ROUNDING = 2e-6  # of a correlation in float32, as a share of the levels' length (chosen)
+_HALVINGS = 6  # of an exponent, for a polynomial to give its power (chosen: 2e-3 of likelihoods at 5 sigma)
+
+
+_AT, _LEFT, _RIGHT = 0, BATCH, 2 * BATCH  # where rows of `Memory.points` begin
+# Rows of `Memory.fit` lie at distances that the compiler knows, for it to compute several pixels at a time.
+FIGURES = 17
+(_POWER, _TOP, _BEST, _ALONG, _SCALE, _STEEPNESS, _OTHER, _SHIFT, _SQUARE, _PEAK, _VARIANCE, _GAP) = (
+    BATCH * row for row in range(12)
+)
+_LOW, _HIGH, _TOTAL, _AWAY, _SPREAD = (BATCH * row for row in range(12, FIGURES))
+
+
+class Memory(NamedTuple):
+    """Room that compiled functions work in: levels of pixels, scores, and what is known of each pixel."""
+
+    levels: NDArray[np.float32]  # (BATCH, K)
+    scores: NDArray[np.float32]  # of candidates
+    values: NDArray[np.float32]  # (1, N), of the grid points of a lobe
+    others: NDArray[np.float32]  # of the grid points of other candidates
+    beside: NDArray[np.float32]  # (BATCH, N), of the grid points beside the best candidate
+    points: NDArray[np.int64]  # (3 BATCH,): best grid point, first one of `beside`, and one behind the last
+    fit: NDArray[np.float64]  # (FIGURES BATCH,)
+    means: NDArray[np.float32]  # (BATCH,), of the levels
+    ends: NDArray[np.int64]  # (2, BATCH), of the possible grid points; none where both are the same
 
 
 class SearchLimits(NamedTuple):
@@ -39,70 +64,80 @@ class SearchLimits(NamedTuple):
     surprising: float  # mean square that residuals hardly ever exceed by chance, in units of the variance
 
 
-@compiled_lean
-def _whole(first: int, last: int) -> int:
-    """End of a range of whole vectors."""
-    return first + (last - first + LANES - 1) // LANES * LANES
-
-
-def _everywhere(builder: Any, number: Any, size: int) -> Any:
+def _everywhere(builder: Any, number: Any) -> Any:
     """Vector of one number."""
-    nowhere = ir.Constant(ir.VectorType(number.type, size), ir.Undefined)
+    nowhere = ir.Constant(ir.VectorType(number.type, LANES), ir.Undefined)
     vector = builder.insert_element(nowhere, number, ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), size), None)
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
     return builder.shuffle_vector(vector, nowhere, zeros)
 
 
+def _reduced(builder: Any, operation: str, vector: Any) -> Any:
+    """One number of a vector."""
+    kind = "f32" if isinstance(vector.type.element, ir.FloatType) else "i32"
+    function = cgutils.get_or_insert_function(  # type: ignore[no-untyped-call]
+        builder.module,
+        ir.FunctionType(vector.type.element, [vector.type]),
+        f"llvm.vector.reduce.{operation}.v{LANES}{kind}",
+    )
+    return builder.call(function, [vector], fastmath=("nnan", "nsz") if kind == "f32" else ())
+
+
 @intrinsic
-def _correlate_block(_typing: Any, x: Any, codes: Any, scores: Any, images: Any, row: Any) -> Any:
-    """Correlate with `_CODES` codes; addresses of levels, first code and first score, length of rows."""
+def _correlate_all(_typing: Any, x: Any, codes: Any, row: Any, images: Any, count: Any, scores: Any) -> Any:
+    """Correlate with codes, by addresses; 0 up to the end of the last vector. The greatest score's index."""
 
     # Written as vectors, because the compiler makes none of ranges that are short.
     def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        number, vector = ir.FloatType(), ir.VectorType(ir.FloatType(), _CODES)
-        levels, first = (builder.inttoptr(each, number.as_pointer()) for each in arguments[:2])
-        into = builder.inttoptr(arguments[2], vector.as_pointer())
-        total = cgutils.alloca_once_value(builder, ir.Constant(vector, None))  # type: ignore[no-untyped-call]
-        with cgutils.for_range(builder, arguments[3]) as image:
-            level = _everywhere(builder, builder.load(builder.gep(levels, [image.index])), _CODES)
-            at = builder.gep(first, [builder.mul(image.index, arguments[4])])
-            code = builder.load(builder.bitcast(at, vector.as_pointer()), align=4)
-            product = builder.fmul(level, code, flags=("contract",))
-            builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
-        builder.store(builder.load(total), into, align=4)
-        return context.get_dummy_value()
+        number, integer, many = ir.FloatType(), ir.IntType(32), ir.VectorType(ir.FloatType(), LANES)
+        levels, codes = (builder.inttoptr(each, number.as_pointer()) for each in arguments[:2])
+        row, images, count = arguments[2:5]
+        into = builder.inttoptr(arguments[5], many.as_pointer())
+        indices = ir.VectorType(integer, LANES)
+        nothing, lane = ir.Constant(many, None), ir.Constant(indices, list(range(LANES)))
+        most, where, total = (
+            cgutils.alloca_once_value(builder, value)  # type: ignore[no-untyped-call]
+            for value in (nothing, ir.Constant(indices, None), nothing)
+        )
+        wide = ir.Constant(row.type, LANES)
+        blocks = builder.udiv(builder.add(count, ir.Constant(row.type, LANES - 1)), wide)
+        with cgutils.for_range(builder, blocks) as block:
+            builder.store(nothing, total)
+            before = builder.mul(block.index, wide)
+            first = builder.gep(codes, [before])
+            with cgutils.for_range(builder, images) as image:
+                level = _everywhere(builder, builder.load(builder.gep(levels, [image.index])))
+                at = builder.gep(first, [builder.mul(image.index, row)])
+                code = builder.load(builder.bitcast(at, many.as_pointer()), align=4)
+                product = builder.fmul(level, code, flags=("contract",))
+                builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
+            index = builder.add(_everywhere(builder, builder.trunc(before, integer)), lane)
+            valid = builder.icmp_signed("<", index, _everywhere(builder, builder.trunc(count, integer)))
+            values = builder.select(valid, builder.load(total), nothing)
+            builder.store(values, builder.gep(into, [block.index]), align=4)
+            better = builder.fcmp_ordered(">", values, builder.load(most))
+            builder.store(builder.select(better, values, builder.load(most)), most)
+            builder.store(builder.select(better, index, builder.load(where)), where)
+
+        greatest = _reduced(builder, "fmax", builder.load(most))
+        is_best = builder.fcmp_ordered("==", builder.load(most), _everywhere(builder, greatest))
+        never = ir.Constant(indices, [2**31 - 1] * LANES)
+        best = _reduced(builder, "umin", builder.select(is_best, builder.load(where), never))
+        return builder.zext(best, ir.IntType(64))
 
     address, integer = types.uintp, types.intp
-    return types.void(address, address, address, integer, integer), generate
+    return types.int64(address, address, integer, integer, integer, address), generate
 
 
 @compiled_lean
-def _correlate(x: Any, codes: Any, first: int, last: int, scores: Any) -> None:
-    """Correlate the levels of one pixel with a range of codes; 0 up to the end of the last vector."""
+def _correlate(x: Any, codes: Any, first: int, last: int, scores: Any, into: int) -> int:
+    """Correlate the levels of one pixel with a range of codes, and give the best of them."""
     size = codes.itemsize
-    for n in range(first, last, _CODES):
-        code, score = codes.ctypes.data + n * size, scores.ctypes.data + n * size
-        addresses = np.uintp(x.ctypes.data), np.uintp(code), np.uintp(score)
-        _correlate_block(*addresses, len(x), codes.shape[1])  # type: ignore[call-arg]
-    scores[last : _whole(first, last)] = np.float32(0)
-
-
-@intrinsic
-def _greatest_of(_typing: Any, scores: Any, blocks: Any) -> Any:
-    """Greatest of blocks of `LANES` scores at an address; 0 without a positive one."""
-
-    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        number, vector = ir.FloatType(), ir.VectorType(ir.FloatType(), LANES)
-        first = builder.inttoptr(arguments[0], vector.as_pointer())
-        most = cgutils.alloca_once_value(builder, ir.Constant(vector, None))  # type: ignore[no-untyped-call]
-        with cgutils.for_range(builder, arguments[1]) as block:
-            values, before = builder.load(builder.gep(first, [block.index]), align=4), builder.load(most)
-            builder.store(builder.select(builder.fcmp_ordered(">", values, before), values, before), most)
-        name, kind = f"llvm.vector.reduce.fmax.v{LANES}f32", ir.FunctionType(number, [vector])
-        reduce = cgutils.get_or_insert_function(builder.module, kind, name)  # type: ignore[no-untyped-call]
-        return builder.call(reduce, [builder.load(most)], fastmath=("nnan", "nsz"))
-
-    return types.float32(types.uintp, types.intp), generate
+    code, score = codes.ctypes.data + first * size, scores.ctypes.data + into * size
+    addresses = np.uintp(x.ctypes.data), np.uintp(code)
+    count, into_address = last - first, np.uintp(score)
+    best: int = _correlate_all(*addresses, codes.shape[1], len(x), count, into_address)  # type: ignore[call-arg]
+    return first + best
 
 
 @intrinsic
@@ -112,7 +147,7 @@ def _span_of(_typing: Any, scores: Any, least: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         integer, vector = ir.IntType(64), ir.VectorType(ir.FloatType(), LANES)
         values = builder.load(builder.inttoptr(arguments[0], vector.as_pointer()), align=4)
-        reached = builder.fcmp_ordered(">=", values, _everywhere(builder, arguments[1], LANES))
+        reached = builder.fcmp_ordered(">=", values, _everywhere(builder, arguments[1]))
         mask, no = builder.bitcast(reached, ir.IntType(LANES)), ir.Constant(ir.IntType(1), 0)
         first, after = (builder.zext(count(mask, no), integer) for count in (builder.cttz, builder.ctlz))
         last = builder.sub(ir.Constant(integer, LANES - 1), after)
@@ -120,13 +155,6 @@ def _span_of(_typing: Any, scores: Any, least: Any) -> Any:
 
     both = types.UniTuple(types.int64, 2)  # type: ignore[no-untyped-call]
     return both(types.uintp, types.float32), generate
-
-
-@compiled_lean
-def _greatest(scores: Any, first: int, last: int) -> Any:
-    """Greatest score of whole vectors; 0 without a positive one."""
-    address, blocks = scores.ctypes.data + first * scores.itemsize, (last - first + LANES - 1) // LANES
-    return _greatest_of(np.uintp(address), blocks)  # type: ignore[call-arg]
 
 
 @compiled_lean
@@ -139,12 +167,6 @@ def _reaching(scores: Any, least: Any, first: int, last: int) -> tuple[int, int]
         left, right = _span_of(address, least)  # type: ignore[call-arg, var-annotated]
         low, high = min(low, n + left) if left < LANES else low, n + right if right >= 0 else high
     return low, high
-
-
-@compiled_lean
-def _best(scores: Any, first: int, last: int) -> Any:
-    """Index of the greatest score, of any where none is positive."""
-    return min(_reaching(scores, _greatest(scores, first, last), first, last)[0], last - 1)
 
 
 @compiled_lean
@@ -183,40 +205,59 @@ def _variance(lost: float, mean: float, images: int, limits: Any) -> float:
 
 
 @compiled_lean
-def _exact(x: Any, at: int, table: Any) -> float:
-    """Correlation with the code of a grid point."""
-    total = 0.0
+def _keep(p: int, at: int, left: int, right: int, top: Any, table: Any, work: Any) -> None:
+    """Store the best grid point of a pixel, its correlations, and what its fit needs."""
+    points, fit, x = work.points, work.fit, work.levels[p]
+    best, along = 0.0, 0.0
     for k in range(len(x)):
-        total += np.float64(x[k]) * table.unit[k, at]
-    return total
+        best += np.float64(x[k]) * table.rows[at, k]
+        along += np.float64(x[k]) * table.slope[at, k]
+    points[_AT + p], points[_LEFT + p], points[_RIGHT + p] = at, left, right
+    fit[_TOP + p], fit[_BEST + p], fit[_ALONG + p], fit[_SCALE + p] = top, best, along, table.scale[at]
+    fit[_STEEPNESS + p], fit[_OTHER + p] = table.steepness[at], table.beside[at] + _ROUNDING
 
 
 @compiled_lean
-def _newton(x: Any, at: int, modulation: float, table: Any) -> tuple[float, float]:
-    """Distance from a grid point to the best coordinate in px, and the square of the slope there."""
-    along, square = 0.0, 0.0
-    for k in range(len(x)):
-        along += table.slope[at, k] * x[k]
-        square += table.slope[at, k] * table.slope[at, k]
-    square *= modulation * modulation
-    shift = along * modulation / square if square > 0.0 else 0.0
-    return shift, square if abs(shift) <= 2.0 * (table.coordinate[1] - table.coordinate[0]) else 0.0
+def _fit(first: int, last: int, means: Any, step: float, limits: Any, images: int, fit: Any) -> None:
+    """Fit pixels by one step of Newton's from their best grid points."""
+    for p in range(first, last):
+        best, along, steepness = fit[_BEST + p], fit[_ALONG + p], fit[_STEEPNESS + p]
+        modulation = best / max(fit[_SCALE + p], _SMALL)
+        square = steepness * modulation * modulation
+        shift = along * modulation / max(square, _SMALL)
+        square = square if abs(shift) <= 2.0 * step else 0.0
+        peak = best * best + shift * shift * square
+        fit[_SHIFT + p], fit[_SQUARE + p], fit[_PEAK + p] = shift, square, peak
+        fit[_VARIANCE + p] = _variance(fit[_POWER + p] - peak, float(means[p]), images, limits)
+
+
+@compiled_lean
+def _prove(count: int, limits: Any, fit: Any) -> None:
+    """Leave a correlation of 0 where another code than that beside a candidate may matter."""
+    for p in range(count):
+        power, other = max(fit[_POWER + p], _SMALL), fit[_OTHER + p]
+        # The cosine of the difference of two angles, of which the first must be the greater one.
+        own = min(fit[_BEST + p] / np.sqrt(power), 1.0)
+        greatest = own * other + np.sqrt(max((1.0 - own * own) * (1.0 - other * other), 0.0))
+        reach = fit[_PEAK + p] - limits.certain_chi2 * fit[_VARIANCE + p]
+        proven = (own > other) & (power * greatest * greatest < reach)
+        fit[_BEST + p] = fit[_BEST + p] if proven else 0.0
+        fit[_GAP + p] = limits.certain_chi2
 
 
 @compiled_lean
 def _searched(pixel: Any, lobe: Any, c: int, grid: Any, table: Any, limits: Any, work: Any) -> Any:
     """Likeliest grid point of a lobe, and the ends of the grid points that noise may not exclude."""
     x, mean, power = pixel
-    scores, values, _ = work
+    scores, values = work.scores, work.values[0]
     low, high = lobe
     lower, upper = max(c - 1, low), min(c + 2, high)
     for widened in range(2):
         left, right = max(table.start[lower], grid[0]), min(table.start[upper], grid[1])
-        _correlate(x, table.unit, left, right, values)
-        at = _best(values, left, right)
+        at = _correlate(x, table.unit, left, right, values, 0)
         if widened:
             break
-        square = _square(values[at])
+        square = _square(values[at - left])
         reach = square - limits.hull_chi2 * _variance(power - square, mean, len(x), limits)
         least = _least_score(reach, power, table)
         while low < lower and scores[low] < least:
@@ -235,96 +276,57 @@ def _runner_up(
 ) -> Any:
     """Square of the greatest correlation elsewhere than in a lobe, and its candidate if it is the best."""
     x, _, power = pixel
-    scores, _, values = work
-    greatest, best, spare = least, -1, len(scores) - 1
-    scores[spare] = _least_score(greatest, power, table)
+    scores, values = work.scores, work.others
+    greatest, best, enough = least, -1, np.float32(_least_score(least, power, table))
     scores[lobe[0] : lobe[1]] = np.float32(0)
     for block in range(part[0], part[1], LANES):
-        if scores[spare] > 0.0 and _greatest(scores, block, block + LANES) < scores[spare]:
-            continue
-        for r in range(block, min(block + LANES, part[1])):
-            if scores[r] < scores[spare] or lobe[0] <= r < lobe[1]:
+        low, high = _reaching(scores, enough, block, block + LANES)
+        for r in range(low, min(high + 1, part[1])):
+            if scores[r] < enough or lobe[0] <= r < lobe[1]:
                 continue
             left, right = max(table.start[r], grid[0]), min(table.start[r + 1], grid[1])
-            _correlate(x, table.unit, left, right, values)
-            value = _square(values[_best(values, left, right)])
+            value = _square(values[_correlate(x, table.unit, left, right, values, left)])
             if value > greatest:
-                greatest = value
-                scores[spare] = _least_score(greatest, power, table)
+                greatest, enough = value, np.float32(_least_score(value, power, table))
                 best = r if value > square * (1.0 + 2.0 * _ROUNDING) else best
     return greatest, best
 
 
 @compiled_lean
-def _fitted(pixel: Any, part: Any, grid: Any, table: Any, limits: Any, work: Any) -> Any:
-    """Best grid point by the scores of a range of candidates, with what its surroundings tell."""
-    x, mean, power = pixel
-    c = _best(work[0], part[0], part[1])
+def _search_everywhere(p: int, mean: float, grid: Any, table: Any, limits: Any, work: Any) -> None:
+    """Find the best grid point of a pixel among all candidates, and the runner-up."""
+    x, fit, c = work.levels[p], work.fit, -1
+    pixel = x, mean, fit[_POWER + p]
+    part = table.owner[grid[0]], table.owner[grid[1] - 1] + 1
+    step = table.coordinate[1] - table.coordinate[0]
     while True:
-        lobe = _lobe(work[0], c, part[0], part[1])
+        top = _correlate(x, table.candidates, part[0], part[1], work.scores, part[0])
+        c = top if c < 0 else c
+        lobe = _lobe(work.scores, c, part[0], part[1])
         at, left, right = _searched(pixel, lobe, c, grid, table, limits, work)
-        best = _exact(x, at, table)
+        _keep(p, at, left, right, work.values[0, at - left], table, work)
+        best = fit[_BEST + p]
         if best <= 0.0:
-            return at, left, right, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        shift, square = _newton(x, at, best / table.scale[at], table)
-        peak = best * best + shift * shift * square
-        variance = _variance(power - peak, mean, len(x), limits)
+            return
+        _fit(p, p + 1, work.means, step, limits, len(x), fit)
+        peak, variance = fit[_PEAK + p], fit[_VARIANCE + p]
         least = max(peak - limits.certain_chi2 * variance, 0.0)
         runner_up, c = _runner_up(pixel, best * best, least, part, lobe, grid, table, work)
         if c < 0:
-            return at, left, right, best, shift, square, peak, variance, (peak - runner_up) / variance
-        _correlate(x, table.candidates, part[0], part[1], work[0])
+            fit[_GAP + p] = (peak - runner_up) / variance
+            return
 
 
 @compiled_lean
-def _hull(values: Any, fit: Any, hull: float) -> tuple[int, int, float]:
-    """First and last grid point that noise does not exclude, and the least value of such."""
-    at = fit[0]
-    least = np.float32(np.sqrt(max(fit[6] - hull * fit[7], 0.0)) - fit[3]) + values[at]
-    low, high = _reaching(values, least, fit[1], fit[2])
-    return min(low, at), max(min(high, fit[2] - 1), at), least
-
-
-@compiled_lean
-def _moments(values: Any, fit: Any, low: int, high: int, least: float) -> tuple[float, float, float]:
-    """Sum of the likelihoods of grid points, with the mean distance from the best one and its variance."""
-    at, best, peak, scale = fit[0], fit[3], fit[6], -0.5 / fit[7]
-    total, first, second = 0.0, 0.0, 0.0
-    for n in range(low, high + 1):
-        if n == at or values[n] >= least:
-            value = best + np.float64(values[n] - values[at])
-            weight, away = np.exp(scale * (peak - value * value)), np.float64(n - at)
-            total += weight
-            first += weight * away
-            second += weight * away * away
-    first /= total
-    return total, first, second / total - first * first
-
-
-@compiled_lean
-def _is_narrow(values: Any, fit: Any, low: int, high: int) -> bool:
-    """Whether a peak surely is too narrow for its likelihoods to count, which take exponentials."""
-    at, best, scale, spread = fit[0], np.float32(fit[3]), np.float32(0.5 / fit[7]), np.float32(0)
-    if low < at - _EXACT or high > at + _EXACT or not _EXACT <= at < len(values) - _EXACT:
-        return False
-    for n in range(-_EXACT, _EXACT + 1):
-        drop = values[at] - values[at + n]
-        lost = max(scale * drop * (best + best - drop), np.float32(0))
-        away = np.float32(n)
-        spread += away * away / (np.float32(1) + lost * (np.float32(1) + np.float32(0.5) * lost))
-    return bool(spread < _NARROW)
-
-
-@compiled_lean
-def measure_beside(table: Any, memory: Any) -> None:
+def measure_beside(table: Any, work: Any) -> None:
     """Fill in what correlation each code has at most with one that is no neighbour of its candidate."""
-    x, scores, work, count = memory[0], memory[1], memory[1:], len(table.middle)
+    x, scores, count = work.levels[0], work.scores, len(table.middle)
     for own in range(count):
-        lobe = max(0, own - _BESIDE), min(count, own + _BESIDE + 1)
+        lobe = max(0, own - BESIDE), min(count, own + BESIDE + 1)
         for n in range(table.start[own], table.start[own + 1]):
             for k in range(len(x)):
-                x[k] = table.unit[k, n]
-            _correlate(x, table.candidates, 0, count, scores)
+                x[k] = table.rows[n, k]
+            _correlate(x, table.candidates, 0, count, scores, 0)
             least = np.float32(0)
             for c in range(count):
                 least = least if lobe[0] <= c < lobe[1] else max(least, scores[c])
@@ -336,61 +338,138 @@ def measure_beside(table: Any, memory: Any) -> None:
 
 
 @compiled_lean
-def _fitted_beside(pixel: Any, top: int, ends: Any, grid: Any, table: Any, limits: Any, work: Any) -> Any:
-    """Best grid point beside the best candidate; a correlation of 0 where another candidate may matter."""
-    x, mean, power = pixel
-    values, middle, nothing = work[1], table.middle, (0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    c = at = -1
-    for _ in range(2):
-        c = top if at < 0 else table.owner[at]
-        low, high = max(ends[0], c - _BESIDE), min(ends[1], c + _BESIDE + 1)
-        _correlate(x, table.unit, table.start[low], table.start[high], values)
+def _search_beside(count: int, near: int, table: Any, work: Any) -> int:
+    """Find the best grid points of pixels near that of the one before, or the best of every second code."""
+    scores, fit, owner = work.scores, work.fit, table.owner
+    for p in range(count):
+        x, values, grid, at = work.levels[p], work.beside[p], (work.ends[0, p], work.ends[1, p]), -1
+        if grid[0] == grid[1]:
+            continue
+        ends, good = (owner[grid[0]], owner[grid[1] - 1] + 1), np.float32(np.sqrt(fit[_POWER + p]))
+        for guess in range(2):
+            if guess:
+                near = 2 * _correlate(x, table.every_second, ends[0] // 2, (ends[1] + 1) // 2, scores, 0)
+            low = max(min(near - LANES // 2, ends[1] - LANES), ends[0])
+            high = min(low + LANES, ends[1])
+            c = _correlate(x, table.candidates, low, high, scores, low)
+            inside = (low < c - BESIDE or low == ends[0]) and (c + BESIDE < high - 1 or high == ends[1])
+            if inside and scores[c] > good * table.beside[table.middle[c]]:
+                break
+            inside = False
         # Where no valley is between the candidates, none of them is a runner-up.
-        for r in range(low, high - 1):
-            if (values[middle[r]] - values[middle[r + 1]]) * (r - top + 0.5) < 0.0:
-                return nothing
-        left, right = max(table.start[low], grid[0]), min(table.start[high], grid[1])
-        at = _best(values, left, right)
-        if table.owner[at] == c:
-            break
-    best = _exact(x, at, table)
-    if table.owner[at] != c or best <= 0.0:
-        return nothing
-    shift, square = _newton(x, at, best / table.scale[at], table)
-    peak = best * best + shift * shift * square
-    variance = _variance(power - peak, mean, len(x), limits)
-    # The cosine of the difference of two angles, of which the first must be the greater one.
-    own, other = min(best / np.sqrt(power), 1.0), table.beside[at] + _ROUNDING
-    greatest = own * other + np.sqrt(max((1.0 - own * own) * (1.0 - other * other), 0.0))
-    if own <= other or power * greatest * greatest >= peak - limits.certain_chi2 * variance:
-        return nothing
-    return at, left, right, best, shift, square, peak, variance, limits.certain_chi2
+        for r in range(max(low, c - BESIDE - 1), min(high, c + BESIDE + 2) - 1):
+            inside &= (scores[r] - scores[r + 1]) * (r - c + np.float32(0.5)) >= np.float32(0)
+        if not inside:
+            continue
+        near = c
+        for _ in range(2):
+            first, last = max(ends[0], c - BESIDE), min(ends[1], c + BESIDE + 1)
+            left, right = max(table.start[first], grid[0]), min(table.start[last], grid[1])
+            at = _correlate(x, table.unit, left, right, values, 0)
+            if owner[at] == c:
+                _keep(p, at, left, right, values[at - left], table, work)
+                break
+            c = owner[at]
+    return near
 
 
 @compiled_lean
-def _best_fit(pixel: Any, near: int, grid: Any, table: Any, limits: Any, work: Any) -> Any:
-    """Try the candidates near one, then those near the best of every second one, then all."""
-    first, last = table.owner[grid[0]], table.owner[grid[1] - 1] + 1
-    x, scores = pixel[0], work[0]
-    for guess in range(2):
-        if guess:
-            ends = first // 2, (last + 1) // 2
-            _correlate(x, table.every_second, ends[0], ends[1], scores)
-            near = 2 * _best(scores, ends[0], ends[1])
-        part = max(first, near - _NEAR), min(last, near + _NEAR)
-        if part[0] < part[1]:
-            _correlate(x, table.candidates, part[0], part[1], scores)
-            c = _best(scores, part[0], part[1])
-            if scores[c] > np.sqrt(pixel[2]) * table.beside[table.middle[c]]:
-                fit = _fitted_beside(pixel, c, (first, last), grid, table, limits, work)
-                if fit[3] > 0.0:
-                    return fit
-    _correlate(x, table.candidates, first, last, scores)
-    return _fitted(pixel, (first, last), grid, table, limits, work)
+def _describe(begin: int, end: int, scores: Any, limits: Any, work: Any) -> None:
+    """Hulls and moments of the likelihoods of grid points, by their scores."""
+    points, fit, f32 = work.points, work.fit, np.float32
+    for p in range(begin, end):
+        if fit[_BEST + p] <= 0.0:
+            continue
+        values, left, peak, variance = (
+            scores[p - begin],
+            points[_LEFT + p],
+            fit[_PEAK + p],
+            fit[_VARIANCE + p],
+        )
+        at, count, best = points[_AT + p] - left, points[_RIGHT + p] - left, f32(fit[_BEST + p])
+        hull = np.sqrt(max(peak - limits.hull_chi2 * variance, 0.0))
+        top, scale = f32(fit[_TOP + p]), f32(0.5 / variance)
+        least = f32(hull - fit[_BEST + p]) + top
+        low, high = _reaching(values, least, 0, count)
+        low, high = min(low, at), max(min(high, count - 1), at)
+        offset = f32(peak - fit[_BEST + p] * fit[_BEST + p]) * scale
+        total, first, second = f32(0), f32(0), f32(0)
+        for block in range(low, high + 1, _VECTOR):
+            for n in range(_VECTOR):
+                value, away = values[block + n], f32(block + n - at)
+                drop = top - value
+                part = (offset + scale * drop * (best + best - drop)) * f32(0.5**_HALVINGS)
+                weight = f32(1) - part * (
+                    f32(1) - part * (f32(1 / 2) - part * (f32(1 / 6) - part * f32(1 / 24)))
+                )
+                for _ in range(_HALVINGS):
+                    weight *= weight
+                inside = (block + n <= high) & ((value >= least) | (block + n == at))
+                weight = weight if inside else f32(0)
+                total += weight
+                first += weight * away
+                second += weight * away * away
+        mean = first / total
+        fit[_LOW + p], fit[_HIGH + p], fit[_TOTAL + p] = low + left, high + left, total
+        fit[_AWAY + p], fit[_SPREAD + p] = mean, second / total - mean * mean
 
 
 @compiled_lean
-def search_codes(levels: Any, lower: Any, upper: Any, table: Any, limits: Any, memory: Any, out: Any) -> None:
+def _write(count: int, means: Any, table: Any, limits: Any, work: Any, out: Any) -> None:
+    """Give the figures of pixels as `search_codes` does."""
+    fit, freedom = work.fit, max(work.levels.shape[1] - 3, 1)
+    start, step = table.coordinate[0], table.coordinate[1] - table.coordinate[0]
+    for p in range(count):
+        square, variance = max(fit[_SQUARE + p], _SMALL), fit[_VARIANCE + p]
+        # A peak may be too sharp for the grid.
+        sharp = (variance < step * step * square) & (fit[_SPREAD + p] < _NARROW)
+        bound = variance / square if sharp else (fit[_SPREAD + p] + 1.0 / 12.0) * step * step
+        fit[_SHIFT + p] = fit[_SHIFT + p] if sharp else fit[_AWAY + p] * step
+        fit[_TOTAL + p] = np.sqrt(2.0 * np.pi * bound) if sharp else fit[_TOTAL + p] * step
+        fit[_SPREAD + p] = bound
+        expected = max(limits.constant + limits.per_level * float(means[p]), 1e-9)
+        fit[_VARIANCE + p] = max(fit[_POWER + p] - fit[_PEAK + p], 0.0) / (freedom * expected)
+    for p in range(count):
+        fitted, at = fit[_BEST + p] > 0.0, work.points[_AT + p]
+        out[0, p], out[1, p] = start + at * step + fit[_SHIFT + p] if fitted else np.nan, fit[_SPREAD + p]
+        out[2, p] = 0.5 * fit[_BEST + p] / fit[_SCALE + p]
+        out[4, p], out[5, p], out[8, p] = fit[_VARIANCE + p], fit[_GAP + p], fit[_TOTAL + p]
+        out[6, p], out[7, p] = start + (fit[_LOW + p] - 0.5) * step, start + (fit[_HIGH + p] + 0.5) * step
+        if not fitted:
+            out[:, p] = np.nan
+
+
+@compiled_lean
+def _search_batch(
+    levels: Any, lower: Any, upper: Any, near: int, table: Any, limits: Any, work: Any, out: Any
+) -> int:
+    fit, ends, means, (images, count) = work.fit, work.ends, work.means, levels.shape
+    start, step = table.coordinate[0], table.coordinate[1] - table.coordinate[0]
+    fit[:], work.points[:] = 0.0, 0
+    for k in range(images):
+        for p in range(count):
+            work.levels[p, k] = levels[k, p]
+            fit[_POWER + p] += np.float64(levels[k, p]) * levels[k, p]
+    for p in range(count):
+        means[p] = out[3, p]
+        usable = lower[p] < upper[p] and fit[_POWER + p] > 0.0
+        ends[0, p] = max(np.int64(np.floor((lower[p] - start) / step)), 0) if usable else 0
+        last = min(np.int64(np.ceil((upper[p] - start) / step)) + 1, len(table.scale))
+        ends[1, p] = last if usable else 0
+    near = _search_beside(count, near, table, work)
+    _fit(0, count, means, step, limits, images, fit)
+    _prove(count, limits, fit)
+    _describe(0, count, work.beside, limits, work)
+    for p in range(count):
+        if fit[_BEST + p] <= 0.0 and ends[0, p] < ends[1, p]:
+            _search_everywhere(p, float(means[p]), (ends[0, p], ends[1, p]), table, limits, work)
+            _describe(p, p + 1, work.values, limits, work)
+    _write(count, means, table, limits, work, out)
+    return near
+
+
+@compiled_lean
+def search_codes(levels: Any, lower: Any, upper: Any, table: Any, limits: Any, work: Any, out: Any) -> None:
     """Find the likeliest coordinate of P pixels.
 
     levels (K, P) grey levels without their means, which are in out[3]; lower, upper (P,) ends of the possible
@@ -398,40 +477,9 @@ def search_codes(levels: Any, lower: Any, upper: Any, table: Any, limits: Any, m
     which the runner-up is worse (at most the limit), the ends of the interval of coordinates whose χ² is
     within the hull's, and the width in px of the likelihood.
     """
-    images, count, near = len(levels), len(table.scale), 0
-    start, step, freedom = table.coordinate[0], table.coordinate[1] - table.coordinate[0], max(images - 3, 1)
-    x, work = memory[0], memory[1:]
-    for p in range(levels.shape[1]):
-        power = 0.0
-        for k in range(images):
-            x[k] = levels[k, p]
-            power += np.float64(x[k]) * x[k]
-        if power <= 0.0 or not lower[p] < upper[p]:
-            out[:, p] = np.nan
-            continue
-        grid = (
-            max(np.int64(np.floor((lower[p] - start) / step)), 0),
-            min(np.int64(np.ceil((upper[p] - start) / step)) + 1, count),
+    near = 0
+    for begin in range(0, levels.shape[1], BATCH):
+        part = slice(begin, min(begin + BATCH, levels.shape[1]))
+        near = _search_batch(
+            levels[:, part], lower[part], upper[part], near, table, limits, work, out[:, part]
         )
-        pixel = x, np.float64(out[3, p]), power
-        fit = _best_fit(pixel, near, grid, table, limits, work)
-        at, _, _, best, shift, square, peak, variance, gap = fit
-        if best <= 0.0:
-            out[:, p] = np.nan
-            continue
-        near = table.owner[at]
-        low, high, least = _hull(work[1], fit, limits.hull_chi2)
-        sharp = square > 0.0 and variance / square < step * step
-        total, away, spread = 1.0, 0.0, 0.0
-        if not (sharp and _is_narrow(work[1], fit, low, high)):
-            total, away, spread = _moments(work[1], fit, low, high, least)
-        if sharp and spread < _NARROW:
-            out[0, p], out[1, p] = start + at * step + shift, variance / square
-            volume = np.sqrt(2.0 * np.pi * variance / square)  # of a peak that the grid is too coarse for
-        else:
-            out[0, p], out[1, p] = start + (at + away) * step, (spread + 1.0 / 12.0) * step * step
-            volume = total * step
-        lost, expected = max(power - peak, 0.0), limits.constant + limits.per_level * pixel[1]
-        out[2, p], out[8, p] = 0.5 * best / table.scale[at], volume
-        out[4, p], out[5, p] = lost / (freedom * max(expected, 1e-9)), gap
-        out[6, p], out[7, p] = start + low * step - 0.5 * step, start + high * step + 0.5 * step

@@ -16,7 +16,7 @@ from scipy.special import erfc
 
 from fpplab.core.conventions import Axis, Floats, Lattice, axis_length
 from fpplab.patterns.fringe_sets import PatternSet
-from fpplab.phase.code_kernel import LANES, measure_beside
+from fpplab.phase.code_kernel import BATCH, BESIDE, FIGURES, LANES, Memory, measure_beside
 from fpplab.phase.limits import CODES
 
 GRID_PX = 0.125  # distance of the grid's coordinates (chosen: a sixteenth of the shortest period)
@@ -28,8 +28,10 @@ class CodeTable(NamedTuple):
     coordinate: Floats  # (U,) px
     length: int  # of the projector along the axis in px
     unit: NDArray[np.float32]  # (K, U), codes of unit length without their means; 0 without contrast
+    rows: NDArray[np.float32]  # (U, K), the same
     scale: NDArray[np.float32]  # (U,), length of each code, 0 without contrast
     slope: NDArray[np.float32]  # (U, K) per px, what offset and modulation do not explain of the derivative
+    steepness: NDArray[np.float64]  # (U,), square of its length
     start: NDArray[np.int64]  # (C + 1,) index of each candidate's first grid point
     middle: NDArray[np.int64]  # (C,) index of the grid point in the middle of each candidate
     owner: NDArray[np.int64]  # (U,) candidate of each grid point
@@ -40,10 +42,17 @@ class CodeTable(NamedTuple):
     # (U,) greatest correlation of each code with one beyond the neighbours of its candidate, of `with_bounds`
     beside: Floats
 
-    def memory(self) -> tuple[NDArray[np.float32], ...]:
-        """Room for the levels of a pixel and for scores, which compiled functions work in."""
+    def memory(self) -> Memory:
+        """Make the room that compiled functions work in."""
         images, codes = self.unit.shape
-        return tuple(np.empty(size, np.float32) for size in (images, codes, codes, codes))
+        count, last = len(self.middle), np.arange(1, len(self.start)) + BESIDE
+        widest = np.max(
+            self.start[np.minimum(last, count)] - self.start[np.maximum(last - 2 * BESIDE - 1, 0)]
+        )
+        shapes = (BATCH, images), (codes,), (1, codes), (codes,), (BATCH, int(widest) + LANES), (BATCH,)
+        levels, scores, values, others, beside, means = (np.zeros(shape, np.float32) for shape in shapes)
+        points, ends = np.zeros(3 * BATCH, np.int64), np.zeros((2, BATCH), np.int64)
+        return Memory(levels, scores, values, others, beside, points, np.zeros(FIGURES * BATCH), means, ends)
 
 
 @lru_cache(maxsize=12)
@@ -74,8 +83,10 @@ def code_table(
         coordinate=coordinate,
         length=length,
         unit=_padded(unit),
+        rows=unit.astype(f32),
         scale=scale.astype(f32),
         slope=slope.astype(f32),
+        steepness=np.sum(slope * slope, axis=1),
         start=start,
         middle=middle,
         owner=owner,
