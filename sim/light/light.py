@@ -44,7 +44,7 @@ from sim.worker import Blender
 from sim.world import World
 
 BATCH_PATTERNS = 40  # patterns that are looked up at once, at most (chosen)
-TABLE_BYTES, CACHE_BYTES = 3 << 27, 1 << 28
+TABLE_BYTES, CACHE_BYTES = 3 << 27, 1 << 27
 """Size of the tables that are kept: of six poses at 1368 x 912, whose images a matching compares again and
 again. Derivatives and pictures are of use for a pose at a time."""
 SETUPS_OF_A_FRAME = 4  # whose pictures make that of a displaced item, see `sim.fluctuation`
@@ -94,7 +94,8 @@ class Light:
         self._erring: ByteLimitedCache[LightTable] = ByteLimitedCache(CACHE_BYTES)
         self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(CACHE_BYTES)
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(1 << 30)
-        self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache()
+        self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache(CACHE_BYTES)
+        self._others: ByteLimitedCache[PatternLevels] = ByteLimitedCache(CACHE_BYTES)  # of the room's light
         self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None
         self._around = (*standing_surfaces(world), *surroundings_surfaces(world))
         # On the path `transport` the mounted item and all that stands still have tables of their own.
@@ -118,7 +119,9 @@ class Light:
         if show is not None:
             picture += self._project_pattern(setup, show, row_weights)
         if self._world.has_room_light:
-            picture += self._room.on(self._in_view(setup)) * self._albedo(setup)
+            picture += self._others.get(
+                setup, lambda: self._room.on(self._in_view(setup)) * self._albedo(setup)
+            )
         if self._falloff is not None:
             picture *= self._falloff
         return picture
@@ -210,7 +213,8 @@ class Light:
 
     def forget(self) -> None:
         """Drop every picture and table in memory."""
-        for kept in (self._tables, self._motions, self._erring, self._pictures, self._bases, self._albedos):
+        pictures = (self._pictures, self._bases, self._albedos, self._others)
+        for kept in (self._tables, self._motions, self._erring, *pictures):
             kept.clear()
         self._projector.forget()
         self._displaced = None

@@ -64,26 +64,29 @@ def evaluate(
     weights: Weights,
     known_twin_rms_px: float | None = None,
     poses: Sequence[int] | None = None,
+    characterised: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> TwinEvaluation:
     """Compare the twin's expected images with the reference, pose by pose, all unless some are named."""
+    # characterised: the poses whose noisy frames characterise the twin, all that are compared for None
     # They have no noise: two realisations of it never agree, and noise is judged by its variance.
     chosen: Sequence[int] = range(len(twin.parameters.poses)) if poses is None else sorted(poses)
+    noisy = set(chosen if characterised is None else characterised) if known_twin_rms_px is None else set()
     pairs: list[tuple[float, float]] = []
-    observed: list[Future[Observation]] = []
+    observed: dict[int, Future[Observation]] = {}
     with ThreadPoolExecutor(1) as pool:  # observes a pose while the next one's frames are simulated
         for done, pose in enumerate(chosen, 1):
-            if known_twin_rms_px is None:  # first, since its light has what the images need
+            if pose in noisy:  # first, since its light has what the images need
                 frames = twin.frames(pose, reference.patterns, reference.settings)
-                wait(observed)  # so that no more than two poses' frames are held
-                observed.append(pool.submit(_observe_board, reference, pose, frames))
+                wait(observed.values())  # so that no more than two poses' frames are held
+                observed[pose] = pool.submit(_observe_board, reference, pose, frames)
             pairs += pose_similarity(reference, twin, pose)
             progress(done / len(chosen))
     similarity = Similarity(*(np.array(future) for future in zip(*pairs, strict=True)))
     characterisation = None
     if known_twin_rms_px is None:
         # What counts is the twin's error and its calibration, not how sure they are.
-        results = zip(chosen, (future.result for future in observed), strict=True)
+        results = ((pose, future.result) for pose, future in observed.items())
         characterisation = _characterise_observed(reference, results, validate=False)
     own = characterisation.calibration.rms_px["joint"] if characterisation else known_twin_rms_px
     assert own is not None

@@ -19,6 +19,7 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.robust import huber_weights, robust_spread
 from fpplab.targets import Target
 
+WINDOW_PX = 7  # side of the windows of the SSIM (source: scikit-image)
 SURROUNDINGS_PX = 3
 """Width of the surroundings of the board that are compared too: its edge shows where it is (chosen)."""
 
@@ -85,13 +86,22 @@ class Loss:
 
 
 def ssim(reference: NDArray[Any], twin: NDArray[Any], full_scale: float, board: Mask) -> tuple[float, float]:
-    from skimage import metrics
+    """Compute the SSIM over the image without its margin, and over the board, as scikit-image does by default."""
+    # OpenCV's windows take a fifth of the time, and a matching compares some hundreds of images.
+    a, b = reference.astype(np.float32), twin.astype(np.float32)
 
-    compared: Any = metrics.structural_similarity
-    mean, every = compared(
-        reference.astype(np.float32), twin.astype(np.float32), data_range=full_scale, full=True
-    )
-    return float(mean), float(every[board].mean())
+    def windowed(image: NDArray[Any]) -> NDArray[Any]:
+        return cv2.boxFilter(image, -1, (WINDOW_PX, WINDOW_PX), borderType=cv2.BORDER_REFLECT)
+
+    mean_a, mean_b = windowed(a), windowed(b)
+    unbiased = np.float32(WINDOW_PX**2 / (WINDOW_PX**2 - 1))
+    squares = unbiased * (windowed(a * a + b * b) - mean_a**2 - mean_b**2)
+    product = unbiased * (windowed(a * b) - mean_a * mean_b)
+    dim, even = np.float32((0.01 * full_scale) ** 2), np.float32((0.03 * full_scale) ** 2)
+    every = (2 * mean_a * mean_b + dim) * (2 * product + even)
+    every /= (mean_a**2 + mean_b**2 + dim) * (squares + even)
+    inner = slice(WINDOW_PX // 2, -(WINDOW_PX // 2))
+    return float(every[inner, inner].mean(dtype=np.float64)), float(every[board].mean())
 
 
 def board_mask(camera: Pinhole, T_camera_board: RigidTransform, target: Target, margin_px: int = 4) -> Mask:

@@ -227,11 +227,11 @@ def _make_steps_until_limit(state: _State, limits: MatchingLimits, observe: Epoc
     )
     while idle < limits.patience:
         before = _best(state.epochs[: number + 1])
-        for step in _worth_trying(repeated, state.epochs[: number + 1]):
+        for step in _worth_trying(repeated, state.epochs[: number + 1], limits):
             number += 1
             if ended := _step_within(state, limits, observe, number, step):
                 return ended
-        idle = 0 if _has_round_changed(before, _best(state.epochs[: number + 1]), limits) else idle + 1
+        idle = 0 if _has_changed(before, _best(state.epochs[: number + 1]), limits) else idle + 1
     # By the rounds alone: a matching that goes on has taken some of what follows already.
     at = state.at.with_parameters(_best(state.epochs[: number + 1]).parameters.parameters())
     last = [step for step in (SHARPNESS_OF_BOARD, *CHANGING_STEPS) if step.applies(at)]
@@ -241,10 +241,21 @@ def _make_steps_until_limit(state: _State, limits: MatchingLimits, observe: Epoc
     return CONVERGED
 
 
-def _worth_trying(steps: Sequence[MatchingStep], epochs: Sequence[MatchingEpoch]) -> list[MatchingStep]:
-    """Leave out the steps that were refused and are not tried again."""
-    refused = {epoch.step for epoch in epochs if not epoch.accepted}
-    return [step for step in steps if step.again or step.name not in refused]
+def _worth_trying(
+    steps: Sequence[MatchingStep], epochs: Sequence[MatchingEpoch], limits: MatchingLimits
+) -> list[MatchingStep]:
+    """Leave out the steps that were refused and are not tried again, or last changed nothing that counts."""
+    last = {epoch.step: number for number, epoch in enumerate(epochs)}
+
+    def is_worth(step: MatchingStep) -> bool:
+        if step.name not in last:
+            return True
+        tried = epochs[last[step.name]]
+        if not tried.accepted:
+            return step.again
+        return _has_changed(_best(epochs[: last[step.name]]), tried, limits)
+
+    return [step for step in steps if is_worth(step)]
 
 
 def _step_within(
@@ -266,8 +277,8 @@ def _step_within(
     return None
 
 
-def _has_round_changed(before: MatchingEpoch, after: MatchingEpoch, limits: MatchingLimits) -> bool:
-    """Whether a round still changed the loss, or a parameter by more than it is uncertain."""
+def _has_changed(before: MatchingEpoch, after: MatchingEpoch, limits: MatchingLimits) -> bool:
+    """Whether a round or step still changed the loss, or a parameter by more than it is uncertain."""
     if before.loss["loss_board"] - after.loss["loss_board"] >= limits.converged:
         return True
     old, new = before.parameters.parameters(), after.parameters.parameters()

@@ -11,6 +11,7 @@ from fpplab.calibration.model import CalibrationFile, PoseFile
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.errors import DataError
+from fpplab.core.geometry import RigidTransform
 from fpplab.core.journals import append_line, cut_torn_line, make_journal, whole_lines
 from fpplab.patterns.curve import Curve
 from sim.parameters import TABLE, TwinParameters
@@ -23,12 +24,14 @@ class _ParametersForm(Document):
 
     @classmethod
     def of(cls, parameters: TwinParameters) -> Self:
+        calibration = CalibrationFile.of(parameters.calibration)
+        pair = _rounded(parameters.calibration.T_projector_camera)
         return cls.model_validate(
             {
-                "calibration": CalibrationFile.of(parameters.calibration),
-                "poses": tuple(PoseFile.of(pose) for pose in parameters.poses),
+                "calibration": calibration.model_copy(update={"T_projector_camera": pair}),
+                "poses": tuple(_rounded(pose) for pose in parameters.poses),
                 "response": parameters.response,
-                "placed": {name: PoseFile.of(pose) for name, pose in parameters.placed.items()},
+                "placed": {name: _rounded(pose) for name, pose in parameters.placed.items()},
                 "sigma": dict(parameters.sigma),
                 **{name: getattr(parameters, name) for name in TABLE},
             }
@@ -44,6 +47,12 @@ class _ParametersForm(Document):
             sigma=values["sigma"],
             **{name: values[name] for name in TABLE},
         )
+
+
+def _rounded(pose: RigidTransform) -> PoseFile:
+    """Round angles to 1e-12°: what is read is then written as it was, and light that is kept stays valid."""
+    file = PoseFile.of(pose)
+    return file.model_copy(update={"rotation_deg": tuple(round(angle, 12) for angle in file.rotation_deg)})
 
 
 def _fields_of_form() -> dict[str, Any]:

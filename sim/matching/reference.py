@@ -131,6 +131,11 @@ class Reference:
                 images.append(index)
         return tuple(images)
 
+    @cached_property
+    def compared(self) -> tuple[int, ...]:
+        """Images by which pixels of bench and twin are compared: the finest, and one of each set."""
+        return tuple(sorted({*self.finest_spread, *self.one_of_each_set}))
+
     def shown(self, images: Sequence[int]) -> tuple[Pattern, ...]:
         return tuple(self.patterns[index] for index in images)
 

@@ -214,7 +214,13 @@ def _compare_bench_and_twin(
     """Compare bench and twin before and after the matching; also give the twin with all that was matched."""
     reference, twin = begun.reference, begun.start.with_parameters(matched.parameters)
     listener.tell("comparing before and after")
-    before = evaluate(reference, begun.nominal, request.weights, progress=listener.between(0.8, 0.84))
+    before = evaluate(
+        reference,
+        begun.nominal,
+        request.weights,
+        characterised=reference.spread_poses(LIMITS.compared_poses),
+        progress=listener.between(0.8, 0.84),
+    )
     surfaces = match_surfaces(twin, begun.parts, listener.tell)
     twin = twin.with_parameters(with_surfaces(twin.parameters, surfaces))
     listener.tell("matching the board's sheet and the surroundings")

@@ -46,6 +46,7 @@ class GeometryFitLimits:
 
     shift_mm: float = 0.02  # of the board for finite differences, smaller than any detail of it (numerical)
     shift_px: float = 0.05  # of the projected image for finite differences (numerical)
+    linear_px: float = 0.05  # displacement in the camera over which the level of an edge is linear (chosen)
     max_pixels: int = 40_000  # of each pose that are compared (chosen, for speed)
     max_pixels_of_all_poses: int = 400_000  # that are compared (chosen, for memory)
 
@@ -233,12 +234,15 @@ def _remove_vibration(
 ) -> tuple[Floats, Floats]:
     """Estimate the board's displacement (3,) in mm in one image, and the residuals (P,) without it."""
     # jacobian: (P, 3 + NUISANCE_PARAMETERS), by the displacement and the nuisance parameters. The level of an
-    # edge is not linear over the displacement, so the twin is rendered again with the board displaced.
+    # edge is not linear over a great displacement: the twin is then rendered again with the board displaced.
     start, residual = twin.parameters, residuals.residual[image]
     if start.displacement_mm == 0:
         return np.zeros(3), residual
     own = np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)[:3]
-    moved = twin.with_parameters(start.with_pose(residuals.pose, start.poses[residuals.pose].moved(own)))
+    pose, camera = start.poses[residuals.pose], start.calibration.camera
+    if np.linalg.norm(own) * camera.matrix[0, 0] < LIMITS.linear_px * pose.translation[2]:
+        return own, residual - jacobian[:, :3] @ own
+    moved = twin.with_parameters(start.with_pose(residuals.pose, pose.moved(own)))
     pattern = reference.shown([residuals.images[image]])
     level = moved.expected_at(residuals.pose, pattern, reference.settings, residuals.pixels)[0].astype(
         np.float64

@@ -109,10 +109,9 @@ def _compare_all(
 
 
 def _compare_images(reference: Reference, twin: Twin, pose: int) -> _Compared:
-    every = tuple(range(len(reference.patterns)))
-    black = twin.parameters.black_level * reference.full_scale
-    real = reference.frames(pose, every) - black
-    own = twin.expected(pose, reference.shown(every), reference.settings) - black
+    images, black = reference.compared, np.float32(twin.parameters.black_level * reference.full_scale)
+    real = reference.frames(pose, images) - black
+    own = twin.expected(pose, reference.shown(images), reference.settings) - black
     own_square, both = np.einsum("nvu,nvu->vu", own, own), np.einsum("nvu,nvu->vu", own, real)
     real_square = np.einsum("nvu,nvu->vu", real, real)
     is_lit = own.mean(axis=0) > LIMITS.min_lit_level * reference.full_scale

@@ -4,7 +4,7 @@ Camera and projector stand still, so whatever stands around the board is seen in
 is triangulated where the fringes decode, and merged over the poses by the median of the depths along every
 pixel's ray. Where none decodes, surfaces go on along their planes for a while, and a backdrop stands behind
 all. The reflectance is the ratio of the levels that were recorded to those of the twin, least squares
-over all images of a pose and the median over the poses: what hides or shades a surface in some poses does not
+over images of a pose and the median over the poses: what hides or shades a surface in some poses does not
 count. A surface is believed to be matt, and light that reaches it by way of others counts as its own.
 """
 
@@ -234,13 +234,12 @@ def _reflectance(
 
 def _recorded_to_twin_ratio(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> LevelStack:
     """Recorded levels over the twin's at every pixel in one pose, NaN where nothing lit is seen."""
-    every = tuple(range(len(reference.patterns)))
-    black = twin.parameters.black_level * reference.full_scale
-    real = reference.frames(pose, every) - black
-    computed = twin.expected(pose, reference.shown(every), reference.settings) - black
+    images, black = reference.compared, np.float32(twin.parameters.black_level * reference.full_scale)
+    real = reference.frames(pose, images) - black
+    computed = twin.expected(pose, reference.shown(images), reference.settings) - black
     square = np.einsum("nvu,nvu->vu", computed, computed)
     both = np.einsum("nvu,nvu->vu", computed, real)
-    is_lit = square > len(every) * (LIMITS.min_level * reference.full_scale) ** 2
+    is_lit = square > len(images) * (LIMITS.min_level * reference.full_scale) ** 2
     is_lit &= ~_pixels_on_board_or_frame(reference, twin, sheet, pose)
     ratio: LevelStack = np.divide(both, square, out=np.full_like(both, np.nan), where=is_lit)
     return ratio

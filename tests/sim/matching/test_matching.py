@@ -358,6 +358,14 @@ def test_epochs_are_read_back_as_they_were(tmp_path: Path, truth: TwinParameters
     assert (found.ink, found.camera_focus_mm) == (truth.ink, None)
 
 
+def test_poses_are_read_and_written_without_drift(truth: TwinParameters) -> None:
+    """Light is kept by the exact poses: angles that change in their last digit would make all of it again."""
+    random = np.random.default_rng(3)
+    turns = [RigidTransform.from_vectors(turn, np.ones(3)) for turn in random.normal(0, 0.3, (40, 3))]
+    written = ParametersFile.of(replace(truth, poses=tuple(turns)))
+    assert ParametersFile.of(written.parameters()) == written
+
+
 def test_an_incomplete_last_line_is_ignored(tmp_path: Path) -> None:
     record = MatchingRecord(tmp_path)
     record.add(epoch("start", 4.0))
@@ -491,13 +499,26 @@ def test_a_round_that_still_moves_poses_has_not_converged(truth: TwinParameters)
     def after(parameters: TwinParameters) -> MatchingEpoch:
         return before.model_copy(update={"parameters": ParametersFile.of(parameters)})
 
-    assert not match._has_round_changed(before, after(now), limits)
-    assert not match._has_round_changed(before, after(moved(now, 0.004, 0.0)), limits)
-    assert match._has_round_changed(before, after(moved(now, 0.02, 0.0)), limits)
+    assert not match._has_changed(before, after(now), limits)
+    assert not match._has_changed(before, after(moved(now, 0.004, 0.0)), limits)
+    assert match._has_changed(before, after(moved(now, 0.02, 0.0)), limits)
     uncertain = replace(moved(now, 0.02, 0.0), sigma={"poses_um": 50.0})
-    assert not match._has_round_changed(before, after(uncertain), limits)
-    assert match._has_round_changed(before, after(replace(now, white=now.white + 0.01)), limits)
-    assert not match._has_round_changed(before, after(replace(now, white=now.white + 0.001)), limits)
+    assert not match._has_changed(before, after(uncertain), limits)
+    assert match._has_changed(before, after(replace(now, white=now.white + 0.01)), limits)
+    assert not match._has_changed(before, after(replace(now, white=now.white + 0.001)), limits)
+
+
+def test_steps_are_repeated_while_they_change_something(truth: TwinParameters) -> None:
+    now = replace(truth, sigma={"poses_um": 4.0})
+
+    def made(step: str, parameters: TwinParameters) -> MatchingEpoch:
+        made = {"loss": {"loss_board": 0.1}, "parameters": ParametersFile.of(parameters)}
+        return epoch(step, 1.0).model_copy(update=made)
+
+    steps = [step for step in match.REPEATED_STEPS if step.name in ("together", "images")]
+    epochs = [made("start", now), made("together", now), made("images", moved(now, 0.02, 0.0))]
+    assert match._worth_trying(steps, epochs[:1], MatchingLimits()) == steps
+    assert [step.name for step in match._worth_trying(steps, epochs, MatchingLimits())] == ["images"]
 
 
 @pytest.mark.nightly
