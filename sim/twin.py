@@ -7,7 +7,7 @@ it is zero.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -216,31 +216,34 @@ class Twin:
         shown, sensor = tuple(patterns), SensorModel.of(self.world)
         still = SceneState(item, held=pose, error_draw=error_draw(pose))
         counters = self.frame_counter.take(len(shown))
+        changes = Fluctuation.of(self.world)
+        ambient = None if changes is None else self._light.irradiance(still, None)
+
+        def exposed(picture: PatternLevels, number: int) -> Image:
+            if changes is not None and ambient is not None:
+                picture = changes.applied(picture, ambient, np.arange(len(ambient)), number)
+            return sensor.expose(picture, settings, number)
+
+        # Pictures are made one by one while others are exposed: all at once would be of some 200 MB.
         pictures = self._levels_of_vibrating_frames(still, pose, shown, counters)
-        if (changes := Fluctuation.of(self.world)) is not None:
-            ambient = self._light.irradiance(still, None)
-            rows = np.arange(len(ambient))
-            pictures = [
-                changes.applied(of, ambient, rows, n) for of, n in zip(pictures, counters, strict=True)
-            ]
         with ThreadPoolExecutor() as pool:
-            return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
+            return list(pool.map(exposed, pictures, counters))
 
     def _levels_of_vibrating_frames(
         self, still: SceneState, pose: RigidTransform, shown: tuple[Pattern, ...], counters: range
-    ) -> list[PatternLevels]:
+    ) -> Iterator[PatternLevels]:
         """Compute the irradiance (h, w) of every frame of an item that vibrates about a pose."""
         size_mm = self.world.moves_mm
         if not size_mm:
-            return [self._irradiance(still, shown, n) for n in range(len(shown))]
+            return (self._irradiance(still, shown, n) for n in range(len(shown)))
         moves = np.array([self._displacement(n) for n in counters])
         if light := self._light.differentiated(still):
-            return list(light.displaced(shown, moves))
+            return light.displaced(shown, moves)
         moved = displaced(still, pose, size_mm)
-        return [
+        return (
             displaced_irradiance(self._light, still, moved, steps, ShownPattern(shown, n))
             for n, steps in enumerate(moves / size_mm)
-        ]
+        )
 
     def _displacement(self, frame: int) -> Floats:
         random = np.random.default_rng([self.world.seed, frame])

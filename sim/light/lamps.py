@@ -142,7 +142,7 @@ def _first_met(scene: RenderScene, pixels: PixelIndices) -> _Met:
     return _Met.on_planes(met, rays[met], normals, corners, shadows)
 
 
-@lru_cache(maxsize=24)
+@lru_cache(maxsize=12)
 def _pixel_rays(
     size: tuple[int, int],
     matrix: tuple[float, ...],
