@@ -19,7 +19,7 @@ SIZE_RATIO = 1.2
 """Ratio of the variances of successive sizes of spots; between them the print is interpolated (chosen)."""
 RIM_SIGMAS = 4.0
 """Margin of the blurred print beyond the item's edges, in standard deviations of the blur (chosen)."""
-KEEP_BYTES = 1 << 28
+KEEP_BYTES = 1 << 27
 """Size up to which a print is kept for sizes not asked for now (chosen); all together have twice as much."""
 
 _Picture = NDArray[np.float32]

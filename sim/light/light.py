@@ -44,9 +44,10 @@ from sim.worker import Blender
 from sim.world import World
 
 BATCH_PATTERNS = 40  # patterns that are looked up at once, at most (chosen)
-TABLE_BYTES, CACHE_BYTES = 3 << 27, 1 << 27
-"""Size of the tables that are kept: of six poses at 1368 x 912, whose images a matching compares again and
-again. Derivatives and pictures are of use for a pose at a time."""
+TABLE_BYTES, CACHE_BYTES, POSE_BYTES = 3 << 27, 1 << 27, 1 << 25
+"""Size of the tables that are kept, of the pictures, and of what is of use for a pose at a time.
+
+The tables are those of six poses at 1368 x 912, whose images a matching compares again and again."""
 SETUPS_OF_A_FRAME = 4  # whose pictures make that of a displaced item, see `sim.fluctuation`
 START_S, PATHS_PER_S = 60.0, 5e4
 """Time limit of a render: a fixed part, and the light paths that any computer traces in a second."""
@@ -89,13 +90,13 @@ class Light:
         self._cache = cache if cache or not world.render.cache else TableCache()
         self._projector = Mirrors(world.projector)
         self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(TABLE_BYTES)
-        self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(CACHE_BYTES)
+        self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(POSE_BYTES)
         self._displaced: tuple[str, LightTable] | None = None
-        self._erring: ByteLimitedCache[LightTable] = ByteLimitedCache(CACHE_BYTES)
+        self._erring: ByteLimitedCache[LightTable] = ByteLimitedCache(POSE_BYTES)
         self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(CACHE_BYTES)
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(1 << 30)
-        self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache(CACHE_BYTES)
-        self._others: ByteLimitedCache[PatternLevels] = ByteLimitedCache(CACHE_BYTES)  # of the room's light
+        self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache(POSE_BYTES)
+        self._others: ByteLimitedCache[PatternLevels] = ByteLimitedCache(POSE_BYTES)  # of the room's light
         self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None
         self._around = (*standing_surfaces(world), *surroundings_surfaces(world))
         # On the path `transport` the mounted item and all that stands still have tables of their own.

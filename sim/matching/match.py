@@ -47,6 +47,7 @@ class StepLimits:
     # of a parameter that has not converged, however well it is known (chosen)
     min_relative_change: float = 1e-3
     compared_poses: int = 6  # whose images judge an epoch, at most (chosen, for speed)
+    characterised_poses: int = 12  # whose frames characterise the matched twin, at most (chosen, for speed)
     equal_loss: float = 2e-4  # difference of losses that is noise (chosen)
     usual_images: int = 60  # of a step, about: the scale of the progress (estimated)
 

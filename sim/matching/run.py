@@ -228,7 +228,13 @@ def _compare_bench_and_twin(
     twin = twin.with_appearance(appearance.appearance)
     listener.tell("judging the result")
     # Only now: grain of the print moves what is found of the board, on the twin as on the bench.
-    final = evaluate(reference, twin, request.weights, progress=listener.between(0.84, 0.88))
+    final = evaluate(
+        reference,
+        twin,
+        request.weights,
+        characterised=reference.spread_poses(LIMITS.characterised_poses),
+        progress=listener.between(0.84, 0.88),
+    )
     own = final.characterisation
     assert own is not None  # since no reprojection error of the twin was given
     artefacts = compare_artefacts(twin, begun.scans, own.calibration, listener.between(0.88, 1.0))

@@ -244,6 +244,10 @@ def _spread(at: MatchingContext) -> tuple[int, ...]:
     return at.reference.spread_poses(SAMPLED_POSES)
 
 
+def _noise_poses(at: MatchingContext) -> tuple[int, ...]:
+    return at.reference.spread_poses(noise.LIMITS.poses)
+
+
 def _steps_of(effects: Sequence[Effect[Document]]) -> tuple[MatchingStep, ...]:
     return tuple(
         MatchingStep(
@@ -298,9 +302,9 @@ FIRST_STEPS = (
     *CHANGING_STEPS,
     MatchingStep(
         "noise",
-        lambda at: noise.match_noise(at.reference, at.twin, _spread(at)),
+        lambda at: noise.match_noise(at.reference, at.twin, _noise_poses(at)),
         True,
-        lambda at: noise.noise_misfit(at.reference, at.twin, _spread(at)),
+        lambda at: noise.noise_misfit(at.reference, at.twin, _noise_poses(at)),
         same_images=True,
         explains="noise of the sensor",
     ),

@@ -29,6 +29,7 @@ from sim.twin import Twin
 class NoiseLimits:
     """How the noise of bench and twin is compared."""
 
+    poses: int = 4  # whose frames are compared, at most: each has all levels (chosen, for speed)
     min_standard_errors: float = 3.0  # by which bench and twin must differ for a change of the twin (chosen)
     rounds: int = 2  # comparisons, each with the twin that the one before gave (chosen)
     probe_e: float = 5.0  # electrons; read noise whose effect on the levels is tried first (chosen)
@@ -48,7 +49,10 @@ def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinP
     real = [_noise_of(reference, pose, reference.recorded(pose)) for pose in poses]
     levels = [_bright_level(reference, pose) for pose in poses]
     for _ in range(LIMITS.rounds):
-        twin = twin.with_parameters(_sensor_noise(reference, twin, poses, real, levels))
+        changed = _sensor_noise(reference, twin, poses, real, levels)
+        if changed is twin.parameters:
+            break
+        twin = twin.with_parameters(changed)
     return twin.parameters
 
 

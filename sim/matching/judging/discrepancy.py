@@ -1,8 +1,8 @@
 """What is left between a matched twin and its bench, for the intervals of predictions.
 
-Noise is compared in poses of the board whose images the light was not fitted to, where there are such, and in
-scans; distance and completeness in scans. Bench and twin are measured the same way. The contrast of fine
-fringes in scans is fitted, their noise and distance are not.
+Noise is compared in some poses of the board whose images the light was not fitted to, where there are such,
+and in scans; distance and completeness in scans. Bench and twin are measured the same way. The contrast of
+fine fringes in scans is fitted, their noise and distance are not.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,7 +36,7 @@ from sim.twin import Twin
 def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan]) -> Discrepancy:
     fitted = set(reference.spread_poses(SAMPLED_POSES))
     others = [pose for pose in range(len(reference.sessions)) if pose not in fitted]
-    judged = others or sorted(fitted)
+    judged = others[:: -(-len(others) // SAMPLED_POSES)] if others else sorted(fitted)
     noise = [_noise_difference(reference, twin, pose) for pose in judged]
     pairs = [scan_figures(reference, twin, scan) for scan in scans]
     levels = level_differences(reference, twin)
