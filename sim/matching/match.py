@@ -235,7 +235,9 @@ def _make_steps_until_limit(state: _State, limits: MatchingLimits, observe: Epoc
         idle = 0 if _has_changed(before, _best(state.epochs[: number + 1]), limits) else idle + 1
     # By the rounds alone: a matching that goes on has taken some of what follows already.
     at = state.at.with_parameters(_best(state.epochs[: number + 1]).parameters.parameters())
-    last = [step for step in (SHARPNESS_OF_BOARD, *CHANGING_STEPS) if step.applies(at)]
+    # Errors of points follow from the geometry, which light and noise found since hardly change.
+    changing = [step for step in CHANGING_STEPS if not step.characterises]
+    last = [step for step in (SHARPNESS_OF_BOARD, *changing) if step.applies(at)]
     for later, step in enumerate(last, number + 1):
         if _step_within(state, limits, observe, later, step):
             break

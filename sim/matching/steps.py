@@ -271,7 +271,8 @@ SHARPNESS_OF_BOARD = MatchingStep(
 )
 """Taken after all rounds, where contrasts gave a blur that the board's fringes do not have."""
 CHANGING_STEPS = _steps_of(VARYING_EFFECTS)
-"""What changes from frame to frame: found before noise is compared, and again with the light at the end."""
+"""What changes from frame to frame: found before noise is compared, and again with the light at the end,
+but for errors of points."""
 FIRST_STEPS = (
     MatchingStep(
         "points", lambda at: geometry_fit.refine_by_reprojection(at.parameters, at.reference.characterisation)
