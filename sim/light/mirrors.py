@@ -15,7 +15,8 @@ from sim.light.cache import ByteLimitedCache
 from sim.texture import MirrorTexture, Part, PatternTextures
 from sim.world import ProjectorWorld
 
-KEPT_BYTES = 1 << 27  # of the light of mirrors, and of textures, that are kept: of 32 patterns (chosen)
+KEPT_BYTES = 1 << 27  # of the light of mirrors that is kept: of 32 patterns (chosen)
+TEXTURE_BYTES = 1 << 25  # of textures that are kept: of the same patterns on some poses (chosen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,7 @@ class Mirrors:
     def __init__(self, projector: ProjectorWorld) -> None:
         self._projector, self._factor = projector, mirror_light(projector)
         self._kept: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEPT_BYTES)
-        self._textures: ByteLimitedCache[PatternTextures] = ByteLimitedCache(KEPT_BYTES)
+        self._textures: ByteLimitedCache[PatternTextures] = ByteLimitedCache(TEXTURE_BYTES)
         self._loaded: tuple[tuple[Pattern, ...], MirrorStates] | None = None
         self._planes: tuple[Pattern, MirrorStates] | None = None
         self._basis: tuple[MirrorStates, Basis] | None = None
