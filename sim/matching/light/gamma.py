@@ -30,6 +30,7 @@ class GammaLimits:
     max_epochs: int = 10  # evaluations of the twin (chosen)
     max_sum_of_squares: float = 0.002  # of levels as shares of full scale (the paper's)
     min_gain: float = 1e-9  # of the sum of squares (numerical)
+    images: int = 8  # that are computed at a time (chosen, for memory)
 
 
 LIMITS = GammaLimits()
@@ -153,13 +154,13 @@ class GreyCard:
             chosen[region.row * GRID + region.column] = True
         chosen |= not chosen.any()
         means = []
-        for pattern in patterns:
-            image = self.twin.expected_of(self.item, [pattern], self.settings)[0] / full_scale(
-                self.settings.bits
-            )
-            weight = pixels_of_regions(image)[chosen]
-            # The image is in shares of full scale already; the full scale of one bit is 1.
-            means.append(statistics(image, 1)[MEAN, chosen] @ weight / weight.sum())
+        for first in range(0, len(patterns), LIMITS.images):
+            some = patterns[first : first + LIMITS.images]
+            for levels in self.twin.expected_of(self.item, some, self.settings):
+                image = levels / full_scale(self.settings.bits)
+                weight = pixels_of_regions(image)[chosen]
+                # The image is in shares of full scale already; the full scale of one bit is 1.
+                means.append(statistics(image, 1)[MEAN, chosen] @ weight / weight.sum())
         return np.array(means)
 
 
