@@ -1,6 +1,7 @@
 """Discovery of what the computer itself offers: displays, V4L2 cameras, and GenTL producers."""
 
 import os
+import re
 from pathlib import Path
 
 from drivers.dlp4500.sequence import SIZE as LIGHTCRAFTER
@@ -9,6 +10,10 @@ from fpplab.devices.discovery import FoundDevice, FoundDevices
 
 VIDEO_CLASS, VIDEO_NODES = Path("/sys/class/video4linux"), Path("/dev")
 """Where Linux lists video devices, and their nodes."""
+CONNECTORS = Path("/sys/class/drm")
+"""Where Linux lists the connectors of displays, and their modes, the display's own first."""
+DESKTOP_SCALES = (1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 3.0)
+"""Factors that the settings of desktops offer."""
 GENTL_DRIVER = "gentl"  # driver of their cameras, as rig files name it
 PRODUCER_PATH = "GENICAM_GENTL64_PATH"  # environment variable that lists the folders of GenTL producers
 
@@ -35,10 +40,37 @@ def displays() -> FoundDevices:
         elif display.size == LIGHTCRAFTER:
             link += ", as the video port of a LightCrafter 4500"
         model = f"display {display.index} '{display.name}'"
+        if scale := desktop_scale(display.size):
+            section = {}
+            link += f", scaled by {scale:g}"
+            result.missing.append(
+                f"projector on {model}: the desktop scales it by {scale:g}, so {display.size[0]} x "
+                f"{display.size[1]} are not its pixels; set its scaling to 100 %, and list it again"
+            )
         result.devices.append(
             FoundDevice("projector", model, "", link, section, "rig_display.yaml", not display.is_main)
         )
     return result
+
+
+def desktop_scale(size: tuple[int, int]) -> float | None:
+    """Tell by which factor a desktop seems to enlarge a display (HiDPI, Wayland): None where it does not.
+
+    SDL is then told of a size that no connector has, and that is such a part of one's own. It is found on
+    Linux alone; elsewhere opening the display notices it.
+    """
+    modes = [
+        [tuple(map(int, mode.split("x"))) for mode in re.findall(r"\d+x\d+", _text(entry / "modes"))]
+        for entry in CONNECTORS.glob("card*-*")
+        if _text(entry / "status") == "connected"
+    ]
+    if any(size in of_connector for of_connector in modes):
+        return None
+    for native in (of_connector[0] for of_connector in modes if of_connector):
+        for scale in DESKTOP_SCALES:
+            if all(abs(scale * n - whole) <= scale for n, whole in zip(size, native, strict=True)):
+                return scale
+    return None
 
 
 def video_cameras() -> FoundDevices:

@@ -224,7 +224,11 @@ class Screen:
         self._sdl.SDL_GetRendererOutputSize(self._renderer, byref(width), byref(height))
         size = (width.value, height.value)
         if size != self._size:
-            raise ScreenError("its window has {} x {} pixels, not {} x {}".format(*size, *self._size))
+            is_scaled = size[0] * self._size[1] == size[1] * self._size[0]
+            raise ScreenError(
+                "its window has {} x {} pixels, not {} x {}".format(*size, *self._size),
+                "the desktop scales the display: set its scaling to 100 %" if is_scaled else REMEDY,
+            )
 
     def _upload(self, frame: bytes) -> None:
         if self._sdl.SDL_UpdateTexture(self._texture, None, frame, 3 * self._size[0]):

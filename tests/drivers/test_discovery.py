@@ -285,6 +285,40 @@ def test_displays_are_projectors_but_the_main_one_is_not_taken_unasked(displays:
     DisplayProjector("projector", {k: v for k, v in second.section.items() if k != "backend"}, None)
 
 
+def connector(folder: Path, name: str, modes: str, status: str = "connected") -> None:
+    (folder / name).mkdir()
+    (folder / name / "modes").write_text(modes, encoding="utf-8")
+    (folder / name / "status").write_text(f"{status}\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("size", "scale"),
+    [
+        ((2560, 1440), 1.5),
+        ((1920, 1080), None),  # a mode of its own, though also half of the other display's
+        ((3072, 1728), 1.25),
+        ((2194, 1234), 1.75),
+        ((912, 1140), None),  # made by xrandr, so that the kernel does not list it
+    ],
+)
+def test_a_display_that_the_desktop_scales_is_told(
+    displays: list[DisplayInfo],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    size: tuple[int, int],
+    scale: float | None,
+) -> None:
+    connector(tmp_path, "card0-DP-1", "3840x2160\n1280x720\n")
+    connector(tmp_path, "card0-HDMI-A-1", "1920x1080\n1920x1080i\n")
+    connector(tmp_path, "card0-HDMI-A-2", "5120x2880\n", status="disconnected")
+    monkeypatch.setattr(computer_discovery, "CONNECTORS", tmp_path)
+    displays.append(display(1, size))
+    found = discovery.find_devices()
+    assert bool(found.devices[0].section) == (scale is None)
+    told = [sentence for sentence in found.missing if "the desktop scales it" in sentence]
+    assert [f"scales it by {scale:g}," in sentence for sentence in told] == ([True] if scale else [])
+
+
 def test_a_lightcrafter_on_a_display_takes_its_patterns_from_it(
     displays: list[DisplayInfo], computer: Computer
 ) -> None:

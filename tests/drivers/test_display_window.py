@@ -113,6 +113,19 @@ def test_pixels_that_are_drawn_otherwise_are_noticed(monkeypatch: pytest.MonkeyP
             opened.show(bytes(opened.frame_bytes))
 
 
+@pytest.mark.parametrize(
+    ("size", "remedy"), [((512, 384), "scaling to 100 %"), ((512, 512), "cable and settings")]
+)
+def test_a_window_that_the_desktop_scales_is_told_from_another_one(
+    size: tuple[int, int], remedy: str
+) -> None:
+    with screen.open_screen(0, DUMMY) as opened:
+        opened._size = size
+        with pytest.raises(screen.ScreenError, match="its window has 1024 x 768 pixels") as refused:
+            opened.process_events()
+    assert remedy in refused.value.failure.remedy
+
+
 def test_a_window_that_is_closed_is_noticed() -> None:
     import sdl2
 
