@@ -131,6 +131,10 @@ class GenicamCamera(Camera):
         self._set_roi(options.roi)
         if options.black_level is not None:
             write(named.BLACK_LEVEL, options.black_level, "open", tolerance=0.5)
+        if options.strobe is not None:
+            write(named.LINE_SELECTOR, options.strobe, "open")
+            write(named.LINE_MODE, "Output", "open")
+            write(named.LINE_SOURCE, "ExposureActive", "open")
         if options.shutter is not None and self._features.has(named.SHUTTER):
             names, available = SHUTTERS[options.shutter], self._features.choices(named.SHUTTER)
             write(named.SHUTTER, next((name for name in names if name in available), names[0]), "open")
@@ -159,6 +163,7 @@ class GenicamCamera(Camera):
             self._period_s(),
             (int(features.read(named.OFFSET_X) or 0), int(features.read(named.OFFSET_Y) or 0)),
             self._bayer(),
+            strobe=self._options.strobe is not None,
         )
 
     def _period_s(self) -> float | None:

@@ -62,6 +62,9 @@ class GenicamOptions(Document):
     only, which counts as 0 dB, unless the driver knows the conversion of its model."""
     shutter: Literal["rolling", "global_reset", "global"] | None = None
     """Shutter mode to set; for a camera whose shutter cannot be switched, the one that it has."""
+    strobe: str | None = None
+    """GenICam name of the output that is active during exposures, such as Line2, for plans whose projector
+    follows the camera; by default none."""
     accept_raw: tuple[str, ...] = ()
     """Names of features that alter grey levels and that this camera does not switch off: they are accepted as
     they are."""

@@ -14,7 +14,7 @@ from contextlib import closing
 from fpplab.acquisition.synchronisation import check_synchronisation, provable, synchronisation_remedy
 from fpplab.acquisition.timing import check_stepped, pulse_timing
 from fpplab.core.conventions import Image
-from fpplab.core.errors import SyncError
+from fpplab.core.errors import CapabilityError, SyncError
 from fpplab.core.progress import ignore
 from fpplab.devices import Camera, CameraSettings, Frame, Projector
 from fpplab.devices.rig import Rig
@@ -119,7 +119,7 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
 
 def end_markers(plan: Plan, size: tuple[int, int]) -> list[Pattern]:
     """Make the patterns that follow a plan whose frames alone cannot reveal a trigger slip."""
-    needed = plan.trigger == "triggered" and not provable(plan)
+    needed = plan.trigger != "stepped" and not provable(plan)
     # In a depth that the plan has: others might make every exposure longer.
     return uniform_patterns([0, 255], size, min(s.bit_depth for s in plan.sets)) if needed else []
 
@@ -162,6 +162,8 @@ def expose(
         projector.load(patterns)
         if plan is not None and plan.trigger == "triggered":
             yield from _triggered(rig, patterns, settings, gap_s)
+        elif plan is not None and plan.trigger == "followed":
+            yield from _followed(camera, projector, patterns, settings, plan.settle_s)
         else:
             yield from _stepped(camera, projector, patterns, settings, plan.settle_s if plan else 0.0)
     finally:
@@ -180,6 +182,26 @@ def _stepped(
         projector.show(i)
         time.sleep(settle_s)  # the display's own latency, which the plan states
         yield in_step(camera, camera.snap(timeout_s=settings.exposure_s + READ_TIMEOUT_S), pattern)
+
+
+def _followed(
+    camera: Camera,
+    projector: Projector,
+    patterns: Sequence[Pattern],
+    settings: CameraSettings,
+    settle_s: float,
+) -> Iterator[Frame]:
+    """Let the camera be the clock: the end of each exposure brings the next pattern."""
+    check_stepped(camera)
+    if not camera.caps.strobe:
+        raise CapabilityError(
+            camera.name, "arm", "has no output that is active while it exposes", "use a stepped plan"
+        )
+    camera.arm(len(patterns), "software")
+    projector.follow()
+    for pattern in patterns:
+        time.sleep(settle_s)
+        yield in_step(camera, camera.read(timeout_s=settings.exposure_s + READ_TIMEOUT_S), pattern)
 
 
 def _triggered(

@@ -46,6 +46,8 @@ class CameraCaps:
     calibration; None where the camera does not report it."""
     bayer: Bayer | None = None
     """Colours of the filter on its pixels, of its frames' first two rows; None where all are alike."""
+    strobe: bool = False
+    """Whether an output of it is active while it exposes, by which a projector can follow it."""
     exposure_step_s: float = 0.0
     """Step of its exposures, such as the time of a sensor row: the device takes the nearest. 0 where steps
     are finer than a tenth of the exposure."""

@@ -29,6 +29,7 @@ class ProjectorCaps:
     """Time in which a pattern that is shown repeats, its bit planes one after another: an exposure sees them
     completely if it lasts a whole number of these. 0 where light is steady, or where this is not known."""
     dark_between: bool = True  # whether it can be dark between played patterns
+    trigger_inputs: int = 0  # how many inputs step to the next pattern; 0 where it cannot follow a camera
     leds: tuple[str, ...] = ()  # colours of the LEDs of which one alone can light a pattern
 
 
@@ -163,6 +164,28 @@ class Projector(Device):
         self._state = State.ARMED
 
     @final
+    def follow(self) -> None:
+        """Show the first loaded pattern, and the next at the end of each pulse at its input.
+
+        It is ARMED until `blank`.
+
+        Raises
+        ------
+        CapabilityError
+            It has no trigger input.
+        StateError
+            No patterns are loaded.
+        """
+        self._need(State.IDLE, doing="follow")
+        if not self.caps.trigger_inputs:
+            raise CapabilityError(self.name, "follow", "has no trigger input", "use a stepped plan")
+        if not self._loaded:
+            raise StateError(self.name, "follow", "has no patterns", "load some first")
+        with self._guard("follow"):
+            self._follow()
+        self._state = State.ARMED
+
+    @final
     def blank(self) -> None:
         """Go dark; legal whenever the projector is open."""
         self._need(State.IDLE, State.ARMED, doing="blank")
@@ -283,6 +306,19 @@ class Projector(Device):
         CapabilityError
             The device cannot show them at these times; raised before anything is shown.
         """
+
+    def _follow(self) -> None:
+        """Show the first loaded pattern, and each next one when a pulse at the input ends.
+
+        Called by `follow` in IDLE, only where `trigger_inputs` is not 0; override it there. Return once the
+        first pattern is on show. After the last pattern any may be shown.
+
+        Raises
+        ------
+        DeviceError
+            It cannot be shown.
+        """
+        raise NotImplementedError
 
     @abstractmethod
     def _blank(self) -> None:

@@ -159,9 +159,10 @@ class Plan(Document):
     """
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.0
     """Wait between showing a pattern and exposing its frame in a stepped plan, in s."""
-    trigger: Literal["stepped", "triggered"] = "stepped"
+    trigger: Literal["stepped", "triggered", "followed"] = "stepped"
     """How camera and projector are synchronised: "stepped" shows a pattern and then takes its frame,
-    "triggered" has the projector's trigger expose every frame.
+    "triggered" has the projector's trigger expose every frame, "followed" has the end of each exposure bring
+    the projector's next pattern.
     """
     masks: MaskRules = MaskRules()
     """Which pixels are measured."""

@@ -48,11 +48,17 @@ class ReferenceBench:
         self.on_show: Pattern | None = None
         self.pulses: deque[Pattern] = deque()
         self.frames_to_lose = 0
+        self.following: deque[Pattern] = deque()
         self.reflectance = 1.0
         self.random = np.random.default_rng(1)
 
     def close(self) -> None:
         self.on_show = None
+
+    def exposure_ended(self) -> None:
+        """End a pulse at the projector's input."""
+        if self.following:
+            self.on_show = self.following.popleft()
 
     def lose_frames(self, n: int) -> None:
         """Lose the next frames on the link from the camera."""
@@ -98,7 +104,10 @@ class ReferenceCamera(Camera):
 
     def _caps(self) -> CameraCaps:
         triggers: tuple[Trigger, ...] = ("software", "hardware")
-        return CameraCaps(CAMERA_SIZE, (8, 12), (1e-4, 1.0), (0.0, 12.0), triggers, READOUT_S, period_s=0.0)
+        bits, exposures_s, gains_db = (8, 12), (1e-4, 1.0), (0.0, 12.0)
+        return CameraCaps(
+            CAMERA_SIZE, bits, exposures_s, gains_db, triggers, READOUT_S, period_s=0.0, strobe=True
+        )
 
     def _configure(self, settings: CameraSettings) -> CameraSettings:
         exposure = round(settings.exposure_s / EXPOSURE_TICK_S) * EXPOSURE_TICK_S
@@ -125,6 +134,7 @@ class ReferenceCamera(Camera):
             pattern.id or None if pattern else None,
         )
         self._count += 1
+        self._bench.exposure_ended()
         return frame
 
     def _arrived(self) -> Pattern | None:
@@ -170,7 +180,7 @@ class ReferenceProjector(Projector):
         return DeviceInfo("projector", "reference", "2", "memory")
 
     def _caps(self) -> ProjectorCaps:
-        return ProjectorCaps(PROJECTOR_SIZE, Lattice.DIAMOND, {1: 2e-4, 8: 8e-3}, 1, 32)
+        return ProjectorCaps(PROJECTOR_SIZE, Lattice.DIAMOND, {1: 2e-4, 8: 8e-3}, 1, 32, trigger_inputs=1)
 
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         self._held = [replace(p, image=quantise(p.image / 255.0, p.bit_depth)) for p in patterns]
@@ -182,7 +192,13 @@ class ReferenceProjector(Projector):
     def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
         self._bench.pulses.extend(self._held)
 
+    def _follow(self) -> None:
+        self._bench.following.clear()
+        self._bench.following.extend([*self._held, self._held[-1]])
+        self._bench.exposure_ended()
+
     def _blank(self) -> None:
+        self._bench.following.clear()
         self._bench.on_show = None
 
 

@@ -204,6 +204,24 @@ def test_leaving_an_exposure_early_leaves_the_bench_dark(rig: Rig) -> None:
     assert dark_now(rig, *levels)
 
 
+def test_a_plan_that_follows_the_camera(rig: Rig, session: Session) -> None:
+    """The camera is the clock; it gives the frames of a stepped plan, or is refused."""
+    plan = session.plan.model_copy(update={"trigger": "followed"})
+    settings = rig.camera_settings(plan.exposure_s)
+    if not (rig.camera.caps.strobe and rig.projector.caps.trigger_inputs):
+        with pytest.raises(
+            CapabilityError, match=r"active while it exposes|has no trigger input|global reset"
+        ):
+            next(iter(expose(rig, patterns_for(rig), settings, plan)))
+        assert rig.camera.state is rig.projector.state is State.IDLE
+        return
+    followed = [frame.image for frame in expose(rig, patterns_for(rig), settings, plan)]
+    stepped = [frame.image for frame in expose(rig, patterns_for(rig), settings, session.plan)]
+    for k, image in enumerate(followed):
+        apart = [float(np.abs(image.astype(float) - other).mean()) for other in stepped]
+        assert apart[k] == pytest.approx(min(apart), abs=0.5), f"frame {k} shows another pattern"
+
+
 def test_a_triggered_plan(rig: Rig, session: Session) -> None:
     levels = reference_levels(rig)
     plan = session.plan.model_copy(update={"trigger": "triggered"})

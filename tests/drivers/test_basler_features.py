@@ -444,6 +444,20 @@ def test_the_line_its_edge_and_its_delay(made: Make) -> None:
     assert [value(end, name) for name in names[1:]] == ["Software", "FallingEdge", 0.0]
 
 
+def test_an_output_that_is_active_during_exposures(made: Make) -> None:
+    end = but(
+        LineSelector=choice("LineSelector", "Line1", "Line2"),
+        LineMode=choice("LineMode", "Input", "Output"),
+        LineSource=choice("LineSource", "UserOutput1", "ExposureActive"),
+    )
+    assert made(end, strobe="Line2").caps.strobe
+    lines = ("LineSelector", "LineMode", "LineSource")
+    assert [value(end, name) for name in lines] == ["Line2", "Output", "ExposureActive"]
+    assert not made(but()).caps.strobe
+    with pytest.raises(SettingError, match=r"LineSelector is Line9; the camera takes one of Line1, Line2"):
+        made(but(LineSelector=choice("LineSelector", "Line1", "Line2")), strobe="Line9")
+
+
 def test_a_line_that_is_not_there(made: Make) -> None:
     with pytest.raises(SettingError, match=r"trigger\.line is Line2; the camera has Software, Line1, Line3"):
         made(NodeCamera(), trigger={"line": "Line2"})
