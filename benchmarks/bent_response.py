@@ -22,7 +22,7 @@ from fpplab.patterns.phase_error import judge_response, shown_phase_error
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 from fpplab.phase import wrapped_phase
-from fpplab.pipeline import measure_response
+from fpplab.pipeline.response import measure_response
 
 SEED = 6100
 SIZE, STRIPES = (4096, 8), 7.3

@@ -44,7 +44,9 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import characterise_sessions, measure_response, take_or_resume_session
+from fpplab.pipeline.characterising import characterise_sessions
+from fpplab.pipeline.response import measure_response
+from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 from sim.devices import SimCamera

@@ -22,7 +22,7 @@ from fpplab.core.conventions import TWO_PI, Floats, Map, axis_length
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import characterise_sessions
+from fpplab.pipeline.characterising import characterise_sessions
 from fpplab.reconstruction.triangulation import camera_slopes
 from fpplab.sessions.session import Session
 from fpplab.targets import Target

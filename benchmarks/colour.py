@@ -14,7 +14,6 @@ import numpy as np
 import yaml
 
 from benchmarks import Result, above, below
-from fpplab import pipeline
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.conventions import TWO_PI, Floats, Image
@@ -25,6 +24,8 @@ from fpplab.patterns.mosaic import Bayer, colour_factors
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
+from fpplab.pipeline.characterising import characterise_sessions
+from fpplab.pipeline.measuring import reconstruct_points
 from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.targets import Target
 from sim.radiometry import Led, photopic_efficiency
@@ -134,8 +135,8 @@ def _twin(folder: Path, bayer: dict[str, Any] | None) -> tuple[float, Floats | N
     with Rig.load(folder / "rig.yaml") as rig:
         poses = [take_or_resume_session(rig, plan, folder / f"{k}", ("board", k)) for k in range(6)]
         card = take_or_resume_session(rig, plan, folder / "card", ("grey_card", 0))
-        known = pipeline.characterise_sessions(poses, Target.load("target_paper"))
+        known = characterise_sessions(poses, Target.load("target_paper"))
         calibration: Calibration = known.calibration
         rms_px = calibration.rms_px["joint"]
-        _, cloud = pipeline.reconstruct_points(card, calibration)
+        _, cloud = reconstruct_points(card, calibration)
     return rms_px, None if cloud.rgb is None else np.median(cloud.rgb, axis=0)

@@ -33,7 +33,7 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase.fine_plan import fine_plan
-from fpplab.pipeline import take_or_resume_session
+from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.pipeline.triangulating import triangulate_recording
 
 BOUNCES = 4

@@ -21,9 +21,10 @@ from benchmarks.decode import FrameStack, plain_numpy
 from fpplab.calibration.model import PARAMETERS, Calibration, Uncertainty
 from fpplab.core.conventions import TWO_PI, Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import CALIBRATION, CLOUD, DECODED, finish_scan
+from fpplab.pipeline.measuring import finish_scan
 from fpplab.reconstruction.triangulation import camera_slopes
 from fpplab.sessions.session import Session
 

@@ -27,7 +27,8 @@ from fpplab.devices import Frame
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
-from fpplab.pipeline import measure_response, take_or_resume_session, take_poses
+from fpplab.pipeline.response import measure_response
+from fpplab.pipeline.taking import take_or_resume_session, take_poses
 from fpplab.sessions.session import Session, recorded_sessions
 from fpplab.targets import Target
 from sim.matching.match import MatchingLimits

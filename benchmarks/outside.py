@@ -31,7 +31,8 @@ from fpplab.devices.simulation import Predictable
 from fpplab.patterns.curve import DEGREE, knots
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import measure_response, take_or_resume_session, take_poses
+from fpplab.pipeline.response import measure_response
+from fpplab.pipeline.taking import take_or_resume_session, take_poses
 from fpplab.sessions.session import Session, recorded_sessions
 from sim.bench import VirtualBench
 from sim.build import SceneState

@@ -24,7 +24,9 @@ from fpplab.core.conventions import Floats
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import characterise_sessions, reconstruct_points, take_or_resume_session, take_poses
+from fpplab.pipeline.characterising import characterise_sessions
+from fpplab.pipeline.measuring import reconstruct_points
+from fpplab.pipeline.taking import take_or_resume_session, take_poses
 from sim.prediction import Prediction, predict
 
 SEEDS = (7400, 7401, 7402)

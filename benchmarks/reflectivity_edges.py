@@ -26,7 +26,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.phase.limits import EDGES
-from fpplab.pipeline import take_poses
+from fpplab.pipeline.taking import take_poses
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 

@@ -21,7 +21,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_or_resume_session
+from fpplab.pipeline.taking import take_or_resume_session
 from sim.world import World
 
 ROUNDS = 3

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from fpplab.patterns.plan import Plan
     from fpplab.patterns.recording import Recording
     from fpplab.phase import Decoded, decode
-    from fpplab.pipeline import characterise_sessions
+    from fpplab.pipeline.characterising import characterise_sessions
     from fpplab.results.scan import ScanResult
     from fpplab.service.client import ServiceClient
     from fpplab.sessions.session import Session
@@ -55,7 +55,7 @@ _PLACES = {
     "ServiceClient": "service.client",
     "Session": "sessions.session",
     "Target": "targets",
-    "characterise_sessions": "pipeline",
+    "characterise_sessions": "pipeline.characterising",
     "compare": "comparison",
     "decode": "phase",
     "load_cloud": "clouds",

@@ -22,7 +22,7 @@ from fpplab.core import config
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_poses
+from fpplab.pipeline.taking import take_poses
 from fpplab.sessions.session import Session
 from sim.world import World
 from tests.drivers.flash_files import maker_firmware

@@ -20,7 +20,7 @@ from fpplab.devices.rig import Rig, RigFile
 from fpplab.diagnosis import Diagnosis, Finding, diagnose_scan
 from fpplab.patterns.plan import Plan
 from fpplab.phase import decode
-from fpplab.pipeline import take_or_resume_session
+from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.reconstruction.points import points_of
 from fpplab.setup.rig_check.check import check_rig
 from sim.world import World

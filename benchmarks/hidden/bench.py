@@ -24,7 +24,7 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
-from fpplab.pipeline import measure_response
+from fpplab.pipeline.response import measure_response
 from fpplab.sessions.session import Session
 from sim.build import SceneState
 from sim.items import item_poses

@@ -1,6 +1,7 @@
 """The program, and the options that commands have in common."""
 
 import sys
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -227,4 +228,14 @@ CertificateFolder = Annotated[
     ),
 ]
 Out = Annotated[Path, option("--out", "Output file or folder.")]
+
+
+class YesNo(StrEnum):
+    """An answer on the command line."""
+
+    YES = "yes"
+    NO = "no"
+
+
+DrawReport = Annotated[YesNo, option("--report", "Whether to draw the report.")]
 ReportOption = Annotated[Path | None, option("--report", "Write a report as a single HTML file.")]

@@ -74,7 +74,17 @@ class ConsoleObserver(Observer):
         console.log_status(sentence)
 
 
-class MeasurementObserver(ConsoleObserver):
+class VerdictObserver(ConsoleObserver):
+    """Says whether to believe a scan's points, before its report is drawn."""
+
+    def result(self, result: object) -> None:
+        from fpplab.results.scan import ScanResult
+
+        if isinstance(result, ScanResult) and not result.diagnosis.is_useless:
+            console.log_status(result.diagnosis.sentence)
+
+
+class MeasurementObserver(VerdictObserver):
     """Shows a measurement in the viewer, too."""
 
     def __init__(self, viewer: Viewer[Any], view: type[MeasurementView]) -> None:
@@ -100,6 +110,7 @@ class MeasurementObserver(ConsoleObserver):
         from fpplab.results.comparison import ComparisonResult
         from fpplab.results.scan import ScanResult
 
+        super().result(result)
         if isinstance(result, ScanResult) and result.cloud is not None:
             decoded = None if self._has_maps else result.decoded
             self._viewer.show(self._view.results, decoded, result.cloud, result.depth, None)
@@ -124,7 +135,7 @@ class AcceptanceObserver(MeasurementObserver):
 
     def result(self, result: object) -> None:
         from fpplab.comparison.acceptance import Acceptance
-        from fpplab.pipeline import Reconstruction
+        from fpplab.pipeline.measuring import Reconstruction
         from fpplab.viewer.acceptance import AcceptanceView
 
         if isinstance(result, Reconstruction) and result.decoded and result.cloud:
@@ -178,7 +189,7 @@ def observe_measurement(
     context: typer.Context, requested: bool, keep_open: bool, recording: Path | None
 ) -> Observer:
     if not (requested or keep_open):
-        return ConsoleObserver()
+        return VerdictObserver()
     from fpplab.viewer.measurement import MeasurementView as View
 
     return MeasurementObserver(open_viewer(context, View, requested, keep_open, recording), View)

@@ -392,10 +392,11 @@ def _add_in_quadrature(a: CloudPoints, b: CloudPoints, root: CloudPoints) -> Non
         root[i] = np.sqrt(a[i] * a[i] + b[i] * b[i])
 
 
-def local_quadric_distance(cloud: Cloud, window: int = 15) -> CloudPoints:
+def local_quadric_distance(cloud: Cloud, window: int = 15, max_points: int | None = None) -> CloudPoints:
     """Compute each point's distance from a quadric fitted to its pixel window."""
-    # A measure of roughness where the true shape is not known.
+    # A measure of roughness where the true shape is not known. With a maximum of points, those of some rows;
+    # NaN for the others.
     # returns (N,) mm
     if window < 5 or window % 2 == 0:
         raise ConfigError(f"window: {window} px must be an odd number, at least 5")
-    return cloud.grid().quadric_distances(window)
+    return cloud.grid().quadric_distances(window, -(-len(cloud) // (max_points or max(len(cloud), 1))) or 1)

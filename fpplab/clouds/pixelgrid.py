@@ -77,15 +77,15 @@ class PixelGrid:
         _faces(*planes, False, np.cumsum(counts) - counts, triangles)
         return triangles
 
-    def quadric_distances(self, window: int) -> GridPoints:
-        """Compute each point's distance from the quadric fitted to its window."""
-        # The quadric is that of 1/z over the pixels. The point takes part in its own fit.
+    def quadric_distances(self, window: int, step: int = 1) -> GridPoints:
+        """Compute each point's distance from the quadric fitted to its window, in every step-th row."""
+        # The quadric is that of 1/z over the pixels. The point takes part in its own fit. NaN elsewhere.
         # returns (N,) mm
         distances = np.full(self.count, np.nan, np.float32)
         design = _quadric_design(window)
         inverse = np.ascontiguousarray(np.linalg.pinv(design)[:3])
         planes = self.index, self.a, self.b, self.w, self.noise
-        _quadric(*planes, design, inverse, self._slope_per_pixel(), distances)
+        _quadric(*planes, design, inverse, self._slope_per_pixel(), step, distances)
         return distances
 
     def _slope_per_pixel(self) -> tuple[float, float]:
@@ -204,13 +204,15 @@ def _quadric(
     design: Floats,
     inverse: Floats,
     slope_per_pixel: tuple[float, float],
+    step: int,
     distances: GridPoints,
 ) -> None:
     height, width = index.shape
     count = len(design)
     side = int(np.sqrt(count) + 0.5)
     radius = side // 2
-    for v in prange(height):
+    for row in prange((height + step - 1) // step):
+        v = row * step
         values = np.empty(count)
         for u in range(width):
             i = index[v, u]

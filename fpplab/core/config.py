@@ -1,16 +1,20 @@
 """YAML documents with a schema: read strictly, refused in one sentence, written back."""
 
+import ast
 import codecs
+import inspect
 import json
 import logging
 import re
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
+from textwrap import dedent
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError
 from yaml.representer import SafeRepresenter
 
 from fpplab.core.checksums import check_recorded
@@ -29,9 +33,32 @@ MAX_FAULTS = 5  # faults of a file that one message reports (chosen)
 class Document(BaseModel):
     """Base of everything that is read from YAML: strict, frozen, no unknown keys."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        schema = handler(core_schema)
+        properties = handler.resolve_ref_schema(schema).get("properties", {})
+        for name, text in field_descriptions(cls).items():
+            if name in properties:
+                properties[name].setdefault("description", text)
+        return schema
+
+
+def field_descriptions(model: type[Document]) -> dict[str, str]:
+    """Read the sentences below the fields of a model in its source."""
+    # Not by `use_attribute_docstrings`: it reads them of every model whenever the program starts.
+    texts: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if not issubclass(base, Document) or base is Document:
+            continue
+        with suppress(OSError, TypeError):  # made by `create_model`: no source
+            (definition,) = ast.parse(dedent(inspect.getsource(base))).body
+            for field, text in pairwise(getattr(definition, "body", ())):
+                match field, text:
+                    case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(words))):
+                        texts[name] = inspect.cleandoc(words)
+    return texts
 
 
 D = TypeVar("D", bound=Document)

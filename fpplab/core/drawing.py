@@ -17,8 +17,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from PIL import Image as Pixels
 
-from fpplab.core.conventions import Image, Map, full_scale
-from fpplab.core.errors import DataError
+from fpplab.core.conventions import Image, full_scale
 
 HALF, FULL = 4.8, 9.6  # widths in inches of figures in two columns, and of the full page
 MAX_COLUMNS = 1200  # columns beyond which a map is subsampled before it is drawn (chosen)
@@ -171,11 +170,3 @@ def colour_bar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str)
 def display_stride(shape: tuple[int, ...]) -> int:
     # shape (h, w)
     return max(1, -(-shape[1] // MAX_COLUMNS))
-
-
-def value_range(values: Map, lower_percentile: float, upper_percentile: float) -> tuple[float, float]:
-    finite = values[np.isfinite(values)]
-    if not len(finite):
-        raise DataError("the map has no measured pixel; nothing to draw")
-    low, high = np.percentile(finite, (lower_percentile, upper_percentile))
-    return float(low), float(max(high, low + 1e-6))

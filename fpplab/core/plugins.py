@@ -1,6 +1,7 @@
 """Plugins: what installed packages add to fpplab by entry points, whose groups are the constants below."""
 
-from importlib.metadata import entry_points
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from fpplab.core.errors import ConfigError
@@ -23,18 +24,24 @@ DISCOVERY = "fpplab.discovery"
 """Functions without arguments that look for devices and return `fpplab.devices.discovery.FoundDevices`."""
 
 
+@cache
+def find_entries(group: str) -> dict[str, EntryPoint]:
+    # Each search reads the records of every package that is installed.
+    return {entry.name: entry for entry in entry_points(group=group)}
+
+
 def plugin_names(group: str) -> list[str]:
-    return sorted(entry_points(group=group).names)
+    return sorted(find_entries(group))
 
 
 def load_plugin(group: str, name: str) -> Any:
     kind = group.rpartition(".")[2].removesuffix("s")
-    matching = entry_points(group=group, name=name)
-    if not matching:
+    entry = find_entries(group).get(name)
+    if entry is None:
         available = ", ".join(plugin_names(group)) or "none; reinstall fpplab, its entry points are missing"
         raise ConfigError(f"there is no {kind} '{name}'; there are {available}")
     try:
-        return next(iter(matching)).load()
+        return entry.load()
     except (ImportError, AttributeError) as error:
         if missing := missing_extra(error):
             raise missing from error

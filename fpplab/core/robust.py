@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats, Mask
+from fpplab.core.conventions import Floats, Map, Mask
+from fpplab.core.errors import DataError
 
 HUBER = 1.345
 """Residual, in standard deviations, from which Huber's weight usually falls. Derived: the estimate is
@@ -66,3 +67,11 @@ def multiway_covariance(
             # count / (count - 1) for the mean that is fitted, (count - 1) / (count - 3) for Student's t.
             middle += count / (count - 3) * sums @ sums.T
     return np.asarray(inverse @ middle @ inverse)
+
+
+def value_range(values: Map, lower_percentile: float, upper_percentile: float) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        raise DataError("the map has no measured pixel; nothing to draw")
+    low, high = np.percentile(finite, (lower_percentile, upper_percentile))
+    return float(low), float(max(high, low + 1e-6))

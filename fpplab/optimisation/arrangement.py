@@ -20,12 +20,14 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from fpplab.core.progress import Progress, no_progress
+from fpplab.core.session_names import CALIBRATION
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Turnable
 from fpplab.optimisation.fringe_cache import MeasuringSetup
 from fpplab.optimisation.problem import CalibrationAt, SearchProblem
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import CALIBRATION, characterise_sessions, take_poses
+from fpplab.pipeline.characterising import characterise_sessions
+from fpplab.pipeline.taking import take_poses
 from fpplab.targets import Target
 
 

@@ -11,6 +11,7 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import write_text
 from fpplab.core.progress import Progress, ignore, no_progress
+from fpplab.core.session_names import CALIBRATION, REPORT
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import with_calibrations
 from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateObserver, CandidateRunner
@@ -27,7 +28,6 @@ from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.storage import Journal
 from fpplab.optimisation.study import Study
 from fpplab.optimisation.verdict import diagnose_search
-from fpplab.pipeline import CALIBRATION, REPORT
 
 JOURNAL = "study.jsonl"
 """Name of the journal in the folder of a front; that of a single plan is named as the plan."""

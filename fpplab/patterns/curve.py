@@ -11,7 +11,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import model_validator
-from scipy.interpolate import BSpline
 
 from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Floats
@@ -101,6 +100,8 @@ def knots(coefficients: int) -> Floats:
 
 
 def evaluate_spline(coefficients: tuple[float, ...], levels: Floats) -> Floats:
+    from scipy.interpolate import BSpline  # a power law, which most are, needs none
+
     spline = BSpline(knots(len(coefficients)), np.asarray(coefficients), DEGREE)
     return np.asarray(spline(np.clip(levels, 0.0, 1.0)), np.float64)
 

@@ -10,8 +10,6 @@ Source: Ramsay, Monotone regression splines in action, Stat. Sci. 3, 1988.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
-from scipy.optimize import nnls
 
 from fpplab.core.conventions import Floats
 from fpplab.patterns.curve import DEGREE, knots
@@ -45,6 +43,9 @@ def fit_spline(shown: Floats, recorded: Floats, sigma: Floats | None) -> SplineF
 
 
 def _fit(shown: Floats, recorded: Floats, weight: Floats, count: int) -> SplineFit | None:
+    from scipy.interpolate import BSpline  # which those do not need who only use a response
+    from scipy.optimize import nnls
+
     basis = BSpline.design_matrix(shown, knots(count), DEGREE).toarray()
     # By the dark level, and the rises from coefficient to coefficient: sums of the basis from each on.
     rises = np.cumsum(basis[:, ::-1], axis=1)[:, ::-1] * weight[:, None]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtr
 
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, axis_length
 from fpplab.patterns.fringe_sets import FringeSet
@@ -56,7 +56,7 @@ def pointing_drifts(samples: Sequence[Image], recording: Recording) -> dict[Axis
             modes += _modes_of_set(sample, plan.fringes[k], plan.masks.modulation_min, period)
         modes += _modes_of_repeats(samples, recording, axis)
         slope, sigma, freedom = _even_motion(modes)
-        if freedom > 0 and 2.0 * t.sf(abs(slope) / sigma, freedom) < DRIFT.max_chance:
+        if freedom > 0 and 2.0 * stdtr(freedom, -abs(slope) / sigma) < DRIFT.max_chance:
             finest = [
                 k for k in plan.sets_along(axis) if plan.fringes[k] == plan.fringes[plan.finest_set(axis)]
             ]

@@ -20,7 +20,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, t
+from scipy.special import ndtr, stdtrit
 
 from fpplab.core.conventions import Axis, Floats, Map, Mask
 from fpplab.core.robust import robust_spread
@@ -147,7 +147,7 @@ def _fitted(normal: Floats, right: Floats) -> EdgeBlur | None:
         rest = (right - normal @ strengths)[:, used]
         covariance[kept] = inverse @ (rest.T @ rest + whole[kept]) @ inverse
         ratio = strengths[used] / np.sqrt(np.diag(covariance)[used])
-        clear = t.isf(norm.sf(EDGES.significance), len(right) - used.sum())  # few tiles scatter little
+        clear = -stdtrit(len(right) - used.sum(), ndtr(-EDGES.significance))  # few tiles scatter little
         if ratio.min() < -clear or np.any(strengths > EDGES.max_strengths_px2):
             return None  # shapes and shadows that look like edges
         if ratio.min() > clear:

@@ -1,6 +1,9 @@
 """Whether the rig is known to have been as it was characterised when a scan was taken."""
 
+from __future__ import annotations
+
 from datetime import timedelta
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,12 +14,15 @@ from fpplab.diagnosis.causes.stale_calibration import max_epipolar_px
 from fpplab.diagnosis.geometry import GeometryCheck, GeometryDoubt
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.phase import Decoded
-from fpplab.pipeline.marks import CONFIRM, MarksVerdict, SeenMarks, marks_verdict
 from fpplab.reconstruction.hidden_changes import hidden_changes, sampled
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.sessions.origin import check_region, foreign_calibration, taken_at
 from fpplab.sessions.session import Session
 
+if TYPE_CHECKING:
+    from fpplab.pipeline.marks import SeenMarks
+
+CONFIRM = "take a pose of the board, and 'fpplab characterise --judge CALIBRATION POSE --confirm'"
 SHOWN_CHANGES = 5  # kinds of changes that are listed, those that cost most (chosen)
 
 
@@ -30,6 +36,8 @@ def geometry_check(
 ) -> GeometryCheck:
     doubt, marks, noise = why_unverified(session, calibration), None, coordinate_noise(decoded)
     if seen_marks is not None:
+        from fpplab.pipeline.marks import MarksVerdict, marks_verdict
+
         marks = (
             MarksVerdict(False, doubt=seen_marks)
             if isinstance(seen_marks, GeometryDoubt)

@@ -29,6 +29,7 @@ from fpplab.core.errors import CalibrationError
 from fpplab.diagnosis.geometry import GeometryDoubt, SeenChange, in_words
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
+from fpplab.pipeline.geometry import CONFIRM
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.hidden_changes import sampled
 from fpplab.sessions.session import Session
@@ -36,7 +37,6 @@ from fpplab.targets import Target
 
 DEPTH_MARGIN = 0.05  # how far marks may have moved, as a share of their depth (chosen)
 
-CONFIRM = "take a pose of the board, and 'fpplab characterise --judge CALIBRATION POSE --confirm'"
 
 CORRECT = "correct the calibration by the marks: 'fpplab characterise --correct CALIBRATION SCAN --out NEW'"
 

@@ -1,8 +1,11 @@
 """Points from a session, with the verdict on them."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +23,6 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, PointingDrift
 from fpplab.pipeline.decoding import checked_recording
 from fpplab.pipeline.geometry import geometry_check
-from fpplab.pipeline.marks import SeenMarks, compare_marks_in, widened_by_marks
 from fpplab.pipeline.triangulating import triangulate_recording
 from fpplab.reconstruction.depth_range import KnownPixels
 from fpplab.reconstruction.triangulation import coordinate_noise
@@ -28,6 +30,9 @@ from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
 from fpplab.sessions.session import Session
+
+if TYPE_CHECKING:
+    from fpplab.pipeline.marks import SeenMarks
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +164,12 @@ def widened_by_drift(calibration: Calibration, drifts: Mapping[Axis, PointingDri
 def _with_sigmas(
     recording: Recording, decoded: Decoded, cloud: Cloud, calibration: Calibration, progress: Progress
 ) -> tuple[Cloud, SeenMarks]:
-    marks = compare_marks_in(recording, decoded, calibration)
-    at_scan, noise = widened_by_marks(calibration, marks), coordinate_noise(decoded)
-    at_scan = widened_by_drift(at_scan, decoded.drifts)
+    marks: SeenMarks = None
+    at_scan = calibration
+    if calibration.marks is not None:
+        from fpplab.pipeline.marks import compare_marks_in, widened_by_marks
+
+        marks = compare_marks_in(recording, decoded, calibration)
+        at_scan = widened_by_marks(calibration, marks)
+    at_scan, noise = widened_by_drift(at_scan, decoded.drifts), coordinate_noise(decoded)
     return with_uncertainty(cloud, at_scan, noise, lambda share: progress(0.72 + 0.28 * share)), marks

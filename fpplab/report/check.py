@@ -7,8 +7,8 @@ import numpy as np
 from fpplab.core.errors import DataError
 from fpplab.core.files import write_parts
 from fpplab.diagnosis.evidence import Evidence
-from fpplab.report import figures
 from fpplab.report.evidence import evidence_pictures, evidence_report
+from fpplab.report.maps import camera_image
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable, listed
 from fpplab.report.response_figures import marker_levels
@@ -69,7 +69,7 @@ def _sections(check: RigCheck, evidence: Evidence) -> list[ReportSection]:
     if shown := evidence_report(check.findings, evidence):
         sections.append(ReportSection("What shows it", figures=shown))
     if check.recording is not None:
-        drawn = figures.camera_image(check.recording.mean_image())
+        drawn = camera_image(check.recording.mean_image())
         alt, caption = "Camera image, the mean of all frames with fringes", "Mean of the frames with fringes."
         sections.append(
             ReportSection("What the camera sees", figures=(ReportFigure.of(drawn, alt, caption),))

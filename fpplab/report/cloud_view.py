@@ -5,20 +5,18 @@ from __future__ import annotations
 import base64
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.cm import ScalarMappable
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from fpplab.clouds import Cloud
-from fpplab.comparison import Comparison
 from fpplab.core.conventions import Floats
-from fpplab.core.drawing import as_png, colour_bar, single_axes
+from fpplab.report.map_sheet import colour_table, draw_picture
 from fpplab.report.wording import count_text
+
+if TYPE_CHECKING:
+    from fpplab.comparison import Comparison
 
 MAX_POINTS = 60_000  # of a view (chosen: some megabytes); a page with several shares twice as many
 TILT_DEG, TURN_DEG = 50.0, 25.0
@@ -86,7 +84,10 @@ def cloud_view(
     caption = f"{count_text(len(shown))} of {count_text(len(cloud))} points."
     if left_out:
         caption += f" {count_text(left_out)} points far from all others are not shown."
-    still = _draw_first_view(shown, quantities[0], centre, radius)
+    first = quantities[0]
+    still = draw_picture(
+        _point_colours(shown, first, centre, radius), first.colours, (first.low, first.high), first.label
+    )
     return CloudView(
         name,
         _described(shown, quantities, centre, radius),
@@ -180,15 +181,15 @@ def _described(cloud: Cloud, quantities: list[CloudQuantity], centre: Floats, ra
 
 def _colours(name: str) -> str:
     """256 colours as base64 of RGB bytes."""
-    return base64.b64encode(
-        (255 * mpl.colormaps[name](np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
-    ).decode()
+    return base64.b64encode(colour_table(name).tobytes()).decode()
 
 
 def _spacing(points: NDArray[np.float32]) -> float:
     if len(points) < 2:
         return 1.0
     some = points[:: max(1, len(points) // 2000)]
+    from scipy.spatial import cKDTree
+
     return max(float(np.median(cKDTree(points).query(some, k=2)[0][:, 1])), 1e-6)
 
 
@@ -200,16 +201,6 @@ def _pack_points(cloud: Cloud, quantities: list[CloudQuantity]) -> bytes:
     if cloud.normals is not None:
         parts.append(np.rint(127 * cloud.normals).astype(np.int8).tobytes())
     return b"".join(parts)
-
-
-@as_png
-def _draw_first_view(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius: float) -> Figure:
-    figure, axes = single_axes(9.6, 5.4)
-    axes.imshow(_point_colours(cloud, quantity, centre, radius), interpolation="nearest")
-    axes.set_axis_off()
-    scale = mpl.colors.Normalize(quantity.low, quantity.high)
-    colour_bar(figure, axes, ScalarMappable(scale, quantity.colours), quantity.label)
-    return figure
 
 
 def _point_colours(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius: float) -> Floats:
@@ -232,7 +223,7 @@ def _point_colours(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius
 
 def _point_shades(cloud: Cloud, quantity: CloudQuantity) -> Floats:
     share = np.clip((quantity.values - quantity.low) / (quantity.high - quantity.low), 0, 1)
-    colours = mpl.colormaps[quantity.colours](np.nan_to_num(share))[:, :3]
+    colours = colour_table(quantity.colours)[np.rint(255 * np.nan_to_num(share)).astype(np.uint8)] / 255.0
     colours[~np.isfinite(share)] = GREY
     if cloud.normals is None:
         return np.asarray(colours)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Map, Mask
+from fpplab.core.conventions import Floats, Mask
 from fpplab.core.drawing import (
     ACCENT,
     ERROR_COLOURS,
@@ -20,7 +20,6 @@ from fpplab.core.drawing import (
     SECOND,
     as_png,
     colour_bar,
-    draw_frame,
     draw_map,
     map_axes,
     map_height,
@@ -29,107 +28,11 @@ from fpplab.core.drawing import (
     sensor_axes,
     side_by_side,
     single_axes,
-    value_range,
 )
 from fpplab.core.errors import DataError
 from fpplab.core.robust import error_limit
 from fpplab.patterns.fringes import Pattern
-from fpplab.report.raster import CloudLike, block_mean, raster_of, rasterise
-
-
-@as_png
-def camera_image(image: Image, bits: int = 8) -> Figure:
-    return draw_frame(image, bits)
-
-
-@as_png
-def wrapped_phase_figure(phase: Map) -> Figure:
-    figure, axes = map_axes(phase.shape)
-    bar = colour_bar(figure, axes, draw_map(axes, phase, "twilight", (0.0, TWO_PI)), "wrapped phase in rad")
-    bar.set_ticks([0, np.pi / 2, np.pi, 1.5 * np.pi, TWO_PI], labels=["0", "π/2", "π", "3π/2", "2π"])
-    return figure
-
-
-@as_png
-def coordinate_map(values: Map, axis: Axis) -> Figure:
-    figure, axes = map_axes(values.shape)
-    limits = value_range(values, 0.1, 99.9)
-    mappable = draw_map(axes, values, "viridis", limits)
-    bar = colour_bar(figure, axes, mappable, f"projector {'u' if axis == 'x' else 'v'} in px")
-    coarse, (height, width) = block_mean(values, 400), values.shape
-    levels = mpl.ticker.MaxNLocator(14).tick_values(*limits)
-    finite = coarse[np.isfinite(coarse)]
-    levels = [level for level in levels if len(finite) and finite.min() < level < finite.max()]
-    if levels:
-        u, v = np.linspace(0, width - 1, coarse.shape[1]), np.linspace(0, height - 1, coarse.shape[0])
-        lines = axes.contour(u, v, coarse, levels=levels, colors="white", linewidths=0.6, alpha=0.75)
-        bar.add_lines(lines)
-    return figure
-
-
-@as_png
-def modulation_map(values: Map) -> Figure:
-    figure, axes = map_axes(values.shape)
-    mappable = draw_map(axes, values, "inferno", (0.0, value_range(values, 0.0, 99.5)[1]))
-    colour_bar(figure, axes, mappable, "modulation in grey levels of 255")
-    return figure
-
-
-@as_png
-def shaded_relief(cloud: CloudLike) -> Figure:
-    grid = raster_of(cloud)
-    points, extent = rasterise(grid, cloud.points)
-    figure, axes = map_axes(points.shape)
-    draw_map(axes, surface_shading(points), "gray", (0.0, 1.0), extent)
-    axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
-    return figure
-
-
-def depth_map(cloud: CloudLike) -> bytes:
-    return point_map(cloud, cloud.points[:, 2], "viridis_r", "distance z from the camera in mm")
-
-
-@as_png
-def point_map(
-    cloud: CloudLike,
-    values: NDArray[np.floating[Any]],
-    colours: str,
-    label: str,
-    limits: tuple[float, float] | None = None,
-) -> Figure:
-    # values (N,)
-    grid = raster_of(cloud)
-    mapped, extent = rasterise(grid, np.asarray(values, np.float32)[:, None])
-    figure, axes = map_axes(mapped.shape)
-    mappable = draw_map(axes, mapped[..., 0], colours, limits or value_range(mapped, 0.5, 99.5), extent)
-    axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
-    colour_bar(figure, axes, mappable, label)
-    return figure
-
-
-def thumbnail(cloud: CloudLike, width_px: int = 232) -> bytes:
-    bright = np.nan_to_num(surface_shading(rasterise(raster_of(cloud), cloud.points)[0]), nan=0.85)
-    height = max(1, min(2 * width_px, round(width_px * bright.shape[0] / bright.shape[1])))
-    small = cv2.resize(bright, (width_px, height), interpolation=cv2.INTER_AREA)
-    return bytes(cv2.imencode(".png", (255 * small).astype(np.uint8))[1])
-
-
-def surface_shading(points: Map) -> Map:
-    # points (h, w, 3) mm
-    coarse = block_mean(points, 760)  # of about 760 columns: a mean reduces the noise of the normals
-    measured = np.isfinite(coarse[..., 0])
-    if min(measured.shape) < 2:  # one line of pixels has no normals
-        return np.where(measured, np.float32(0.5), np.float32(np.nan))
-    weight = cv2.GaussianBlur(measured.astype(np.float32), (0, 0), 1.2)
-    smooth = cv2.GaussianBlur(np.nan_to_num(coarse), (0, 0), 1.2) / np.maximum(weight, 1e-6)[..., None]
-    normals = np.cross(np.gradient(smooth, axis=1), np.gradient(smooth, axis=0))
-    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
-    normals *= -np.sign(normals[..., 2:])  # towards the camera
-    light = np.array([-0.55, -0.65, -0.8]) / np.linalg.norm([-0.55, -0.65, -0.8])
-    halfway = (light + [0.0, 0.0, -1.0]) / np.linalg.norm(light + [0.0, 0.0, -1.0])
-    matt, gloss = np.clip(normals @ light, 0, 1), np.clip(normals @ halfway, 0, 1) ** 24
-    bright = 0.08 + 0.80 * matt + 0.12 * gloss
-    return np.where(measured, bright, np.nan).astype(np.float32)
+from fpplab.report.raster import CloudLike, raster_of, rasterise
 
 
 @as_png

@@ -1,20 +1,22 @@
 """A page of several measurements: response, characterisation, scans."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from fpplab.characterisation import Characterisation, Judgement
 from fpplab.core.conventions import Floats
-from fpplab.patterns.response import Response
-from fpplab.report import devices
 from fpplab.report.cloud_view import MAX_POINTS
-from fpplab.report.guidance import guided_section
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict
-from fpplab.report.response import response_section
 from fpplab.report.scan_section import ScanSection, scan_tables, section_of
-from fpplab.setup.guide import GuidedRun
+
+if TYPE_CHECKING:
+    from fpplab.characterisation import Characterisation, Judgement
+    from fpplab.patterns.response import Response
+    from fpplab.setup.guide import GuidedRun
 
 
 def write_report(
@@ -36,18 +38,23 @@ def write_report(
     is_single = len(scans) == 1
     verdicts = [PageVerdict.of(s.diagnosis, "" if is_single else s.name) for s in scans if s.diagnosis]
     sources = {s.name: s.provenance for s in scans if s.provenance}
-    sections = []
+    summary, sections = [], [section_of(scan, MAX_POINTS // max(len(scans), 1)) for scan in scans]
     if guided:
+        from fpplab.report.guidance import guided_section
+
         sections.append(guided_section(guided))
-    if characterisation:
-        sections.append(devices.characterisation_section(characterisation))
-    if judgement:
-        sections.append(devices.judgement_section(judgement))
-    share = MAX_POINTS // max(len(scans), 1)
-    sections = [section_of(scan, share) for scan in scans] + sections
+    if characterisation or judgement:
+        from fpplab.report import devices
+
+        if characterisation:
+            summary.append(devices.summary_table(characterisation))
+            sections.append(devices.characterisation_section(characterisation))
+        if judgement:
+            sections.append(devices.judgement_section(judgement))
     if response:
+        from fpplab.report.response import response_section
+
         sections.append(response_section(*response))
-    summary = [devices.summary_table(characterisation)] if characterisation else []
     complete_basis = PageBasis(
         (*page_basis.verdicts, *verdicts), {**page_basis.provenance, **sources}, page_basis.answer
     )

@@ -1,12 +1,14 @@
 """One scan on a page: its figures, its view in three dimensions, and its lines in the tables at the top."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fpplab.clouds import Cloud
-from fpplab.comparison import Comparison
 from fpplab.core.conventions import Axis, Image, Map
 from fpplab.core.depth import DepthRange
 from fpplab.diagnosis import Diagnosis
@@ -14,12 +16,15 @@ from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, Wrapped
 from fpplab.reconstruction.filtering import count_removed
 from fpplab.reconstruction.points import cost_at_edges
-from fpplab.report import figures, uncertainty
+from fpplab.report import maps, uncertainty
 from fpplab.report.cloud_view import MAX_POINTS, cloud_view
 from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
 from fpplab.report.wording import NOT_KNOWN, count_text, number_text, percent_text
 from fpplab.results.provenance import Provenance
 from fpplab.results.several_scans import noise_um, roughness_um
+
+if TYPE_CHECKING:
+    from fpplab.comparison import Comparison
 
 COMPARED = (
     "Artefact",
@@ -159,7 +164,7 @@ def _pictures_of_scan(scan: ScanSection) -> Iterator[ReportFigure]:
     yield frame_figure(scan)
     if decoded is not None and np.isfinite(decoded.modulation).any():
         yield ReportFigure.of(
-            figures.modulation_map(decoded.modulation),
+            maps.modulation_map(decoded.modulation),
             f"Map of the fringes' modulation on the {name}",
             "Modulation: the amplitude of the fringes.",
         )
@@ -167,7 +172,7 @@ def _pictures_of_scan(scan: ScanSection) -> Iterator[ReportFigure]:
         if scan.wrapped is not None:
             phase = np.where(decoded.valid, scan.wrapped.phase, np.float32(np.nan))
             yield ReportFigure.of(
-                figures.wrapped_phase_figure(phase),
+                maps.wrapped_phase_map(phase),
                 f"Map of the wrapped phase of the {name}",
                 "Wrapped phase of the finest set.",
             )
@@ -175,7 +180,7 @@ def _pictures_of_scan(scan: ScanSection) -> Iterator[ReportFigure]:
 
 
 def frame_figure(scan: ScanSection) -> ReportFigure:
-    drawn = figures.camera_image(scan.frame, scan.bits)
+    drawn = maps.camera_image(scan.frame, scan.bits)
     shown = "finest fringes" if scan.wrapped is not None else "codes"
     return ReportFigure.of(
         drawn, f"Camera image of the {scan.name} under the {shown}", f"One frame of the {shown}."
@@ -184,7 +189,7 @@ def frame_figure(scan: ScanSection) -> ReportFigure:
 
 def relief_figure(name: str, cloud: Cloud) -> ReportFigure:
     return ReportFigure.of(
-        figures.shaded_relief(cloud),
+        maps.shaded_relief(cloud),
         f"Shaded relief of the measured {name}",
         f"The measured surface, illuminated from the upper left: {count_text(len(cloud))} points.",
     )
@@ -192,7 +197,7 @@ def relief_figure(name: str, cloud: Cloud) -> ReportFigure:
 
 def depth_figure(name: str, cloud: Cloud) -> ReportFigure:
     return ReportFigure.of(
-        figures.depth_map(cloud),
+        maps.depth_map(cloud),
         f"Map of the distance of the {name} from the camera",
         "Distance from the camera along its axis.",
     )
@@ -207,6 +212,8 @@ def sigma_figures(name: str, cloud: Cloud, plan: Plan | None = None) -> list[Rep
 
 
 def error_figure(name: str, cloud: Cloud, comparison: Comparison) -> ReportFigure:
+    from fpplab.report.figures import error_map
+
     alt = (
         f"Signed error of the {name}, with its distribution; RMS {number_text(comparison.surface_rms_um)} µm"
     )
@@ -214,7 +221,7 @@ def error_figure(name: str, cloud: Cloud, comparison: Comparison) -> ReportFigur
         f"Signed distance of every compared point from the true surface; red is outside the "
         f"true shape. {count_text(comparison.off_part)} points beside the object are left out."
     )
-    drawn = figures.error_map(cloud, comparison.distances_mm, comparison.counted)
+    drawn = error_map(cloud, comparison.distances_mm, comparison.counted)
     return ReportFigure.of(drawn, alt, caption, wide=True)
 
 
@@ -235,13 +242,13 @@ def _uncertain_text(causes: dict[str, int], pixels: int) -> str:
 
 
 def _coordinates(name: str, decoded: Decoded) -> list[ReportFigure]:
-    maps: tuple[tuple[Axis, Map, str], ...] = (("x", decoded.u, "columns"), ("y", decoded.v, "rows"))
+    coordinates: tuple[tuple[Axis, Map, str], ...] = (("x", decoded.u, "columns"), ("y", decoded.v, "rows"))
     return [
         ReportFigure.of(
-            figures.coordinate_map(values, axis),
+            maps.coordinate_map(values, axis),
             f"Map of the projector's {what} as seen on the {name}",
             f"Unwrapped: the projector's {what}, with contour lines.",
         )
-        for axis, values, what in maps
+        for axis, values, what in coordinates
         if np.isfinite(values).any()
     ]

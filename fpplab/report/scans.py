@@ -1,8 +1,10 @@
 """A scan as a section of the report, or as a page of its own."""
 
-from pathlib import Path
+from __future__ import annotations
 
-from fpplab.comparison import Comparison
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.phase import wrapped_phase
 from fpplab.phase.precision import uncertain_orders
@@ -11,6 +13,9 @@ from fpplab.report.measurements import write_report
 from fpplab.report.page import PageBasis
 from fpplab.report.scan_section import ScanSection
 from fpplab.results.scan import ScanResult
+
+if TYPE_CHECKING:
+    from fpplab.comparison import Comparison
 
 
 def write_scan_report(path: Path, result: ScanResult) -> None:

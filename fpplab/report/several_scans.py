@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.clouds import Cloud
-from fpplab.core.drawing import value_range
 from fpplab.core.errors import DataError
-from fpplab.report import figures
+from fpplab.core.robust import value_range
+from fpplab.report import figures, maps
 from fpplab.report.cloud_view import MAX_POINTS, cloud_view
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
@@ -49,7 +49,7 @@ def write_scans_report(path: Path, result: ScansResult) -> None:
 
 
 def scan_verdict(scan: ScanRecord) -> PageVerdict:
-    picture = base64.b64encode(figures.thumbnail(scan.cloud)).decode("ascii") if scan.cloud else ""
+    picture = base64.b64encode(maps.thumbnail(scan.cloud)).decode("ascii") if scan.cloud else ""
     if scan.diagnosis is not None:
         return replace(PageVerdict.of(scan.diagnosis, scan.name), thumbnail=picture)
     if scan.cloud is None:
@@ -111,7 +111,7 @@ def _map_section(
     limits = value_range(np.concatenate([scalars for _, scalars in values.values()]), 1, 99)
     drawn = tuple(
         ReportFigure.of(
-            figures.point_map(cloud, scalars, colours, label, limits),
+            maps.point_map(cloud, scalars, colours, label, limits),
             f"Map of the {label.rpartition(' in ')[0]} of {name}",
             f"{name}: median {number_text(float(np.median(scalars)))} {label.rpartition(' in ')[2]}",
         )
@@ -153,7 +153,7 @@ def _difference_row(figures: Mapping[str, Any]) -> tuple[str, ...]:
 def _image_sections(scans: Sequence[ScanRecord]) -> list[ReportSection]:
     drawn = tuple(
         ReportFigure.of(
-            figures.camera_image(*scan.frame),
+            maps.camera_image(*scan.frame),
             f"Camera image of {scan.name} under the finest fringes",
             scan.name,
         )

@@ -1,17 +1,15 @@
 """Maps of the points' standard uncertainty: from noise, phase error and calibration, and of the form."""
 
-from typing import Any, cast
-
 import numpy as np
-from matplotlib.figure import Figure
 
 from fpplab.clouds import Cloud
 from fpplab.clouds.cloud import CloudPoints
-from fpplab.core.drawing import FULL, HALF, as_png, colour_bar, draw_map, map_height, new_figure, value_range
 from fpplab.core.errors import DataError
+from fpplab.core.robust import value_range
 from fpplab.patterns.plan import Plan
 from fpplab.phase.common_errors import show_common_errors
 from fpplab.phase.limits import NOISE
+from fpplab.report.map_sheet import MapSheet, draw_maps
 from fpplab.report.raster import raster_of, rasterise
 
 PARTS = {
@@ -23,8 +21,7 @@ PARTS = {
 """The uncertainties that a cloud may hold, and their titles."""
 
 
-@as_png
-def sigma_maps(cloud: Cloud) -> Figure:
+def sigma_maps(cloud: Cloud) -> bytes:
     sigmas = {
         title: 1e3 * sigma for name, title in PARTS.items() if (sigma := getattr(cloud, name)) is not None
     }
@@ -32,15 +29,19 @@ def sigma_maps(cloud: Cloud) -> Figure:
         raise DataError("the cloud holds no uncertainty of its points; nothing to draw")
     grid = raster_of(cloud)
     mapped, extent = rasterise(grid, np.stack(list(sigmas.values()), axis=1))
-    width = FULL / len(sigmas) if len(sigmas) > 1 else HALF
-    figure = new_figure(width * len(sigmas), map_height(mapped.shape, width) + 0.3)
-    sheets = cast(Any, figure.subplots(1, len(sigmas), squeeze=False))[0]
-    for axes, (title, sigma), values in zip(sheets, sigmas.items(), np.moveaxis(mapped, 2, 0), strict=True):
-        mappable = draw_map(axes, values, "cividis", value_range(values, 1, 99), extent)
-        colour_bar(figure, axes, mappable, "standard uncertainty in µm")
-        axes.set_title(f"{title}\nmedian {np.median(sigma):.3g} µm", fontsize=8.5)
-        axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
-    return figure
+    sheets = [
+        MapSheet(
+            values,
+            "cividis",
+            value_range(values, 1, 99),
+            "standard uncertainty in µm",
+            extent,
+            grid.names,
+            (title, f"median {np.median(sigma):.3g} µm"),
+        )
+        for (title, sigma), values in zip(sigmas.items(), np.moveaxis(mapped, 2, 0), strict=True)
+    ]
+    return draw_maps(*sheets)
 
 
 def sigma_caption(cloud: Cloud, plan: Plan | None = None) -> str:

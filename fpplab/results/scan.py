@@ -13,7 +13,7 @@ from fpplab.diagnosis import Diagnosis
 from fpplab.diagnosis.islands import island_counts
 from fpplab.phase import Decoded
 from fpplab.phase.precision import uncertain_orders
-from fpplab.pipeline import Reconstruction
+from fpplab.pipeline.measuring import Reconstruction
 from fpplab.reconstruction.filtering import count_removed
 from fpplab.reconstruction.points import cost_at_edges
 from fpplab.results.provenance import Provenance

@@ -16,12 +16,14 @@ from fpplab.diagnosis import Diagnosis
 from fpplab.patterns.plan import Plan
 from fpplab.results.provenance import Provenance
 
+MAX_FITTED = 50_000  # points whose neighbours are fitted (chosen): their median is known to half a percent
+
 
 def roughness_um(cloud: Cloud) -> float | None:
     """Measure how rough a cloud is: median distance of its points from their neighbours' quadric."""
     if cloud.pixels is None:
         return None
-    distances = np.abs(local_quadric_distance(cloud))
+    distances = np.abs(local_quadric_distance(cloud, max_points=MAX_FITTED))
     finite = distances[np.isfinite(distances)]
     return 1e3 * float(np.median(finite)) if len(finite) else None
 

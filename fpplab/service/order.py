@@ -30,6 +30,8 @@ class ScanOrder(Document):
     """Distances from the camera in mm between which the object lies."""
     limits: str | None = None
     """File of an expert with other limits than the usual ones."""
+    report: bool = True
+    """Whether `report.html` is drawn."""
     force: bool = False
     """Whether an existing session is replaced."""
     allow: tuple[ConfirmationRequired, ...] = ()

@@ -189,7 +189,8 @@ class ScanQueue:
                 continue
             if _has_all_frames(status):
                 (Path(str(status.out)) / REPORT).unlink(missing_ok=True)  # which says that all is done
-                order = order.model_copy(update={"force": False})
+                # Only where a report is still to be drawn may a session have all its frames.
+                order = order.model_copy(update={"force": False, "report": True})
                 self._active[number] = status.model_copy(update={"state": ScanState.QUEUED})
                 self._waiting.put((number, order))
             else:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, create_model, model_validator
+from pydantic import create_model, model_validator
 
 from fpplab.core import config
 from fpplab.core.conventions import Floats
@@ -37,7 +37,7 @@ def _own_fields() -> dict[str, Any]:
         field = layout.model_fields[name]
         hint = get_type_hints(layout, include_extras=True)[name]
         hint, default = (hint | None, None) if field.is_required() else (hint, field.default)
-        own[name] = (hint, Field(default, description=field.description))
+        own[name] = (hint, default)
     return own
 
 

@@ -13,9 +13,9 @@ from fpplab.clouds import Cloud, load_cloud
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import DataError, DeviceError
 from fpplab.core.progress import Progress, no_progress
+from fpplab.core.session_names import CLOUD, DECODED
 from fpplab.devices import Frame
 from fpplab.phase import Decoded
-from fpplab.pipeline import CLOUD, DECODED
 from fpplab.sessions.session import Session
 from fpplab.viewer.canvas import Canvas
 from fpplab.viewer.measurement import MeasurementView, ShownFrame

@@ -86,7 +86,7 @@ def run_characterisation(
 def check_characterisation_input(request: CharacterisationRequest) -> None:
     """Refuse outputs that exist already, and a plan that does not suit a board."""
     from fpplab.core.files import refuse_existing
-    from fpplab.report import is_report
+    from fpplab.report.page import is_report
 
     if sum(map(bool, (request.sessions, request.rig, request.points))) != 1:
         raise ConfigError("give either sessions, --points or --rig, to say where the poses come from")
@@ -119,7 +119,7 @@ def _check_plan(plan: Plan, name: str) -> None:
 
 
 def _take_poses(request: CharacterisationRequest, rig: Rig, observer: Observer) -> list[Session]:
-    from fpplab.pipeline import take_poses
+    from fpplab.pipeline.taking import take_poses
 
     plan = _plan_of(request)
     _announce_kept_poses(request, observer)
@@ -178,7 +178,7 @@ def _fit(
     request: CharacterisationRequest, sessions: Sequence[Session], observer: Observer
 ) -> Characterisation:
     from fpplab.characterisation.limits import USUAL_LIMITS
-    from fpplab.pipeline import characterise_sessions
+    from fpplab.pipeline.characterising import characterise_sessions
 
     try:
         with observer.stage("Characterising") as progress:
@@ -238,7 +238,7 @@ def _save_and_report(
         diagnosis = diagnose_points(len(fitted.poses), fitted.warnings, fitted.left_out, findings)
         provenance = point_list_provenance(request.points.path, fitted.calibration, request.out)
     if request.marks is not None and request.marks_target is not None:
-        from fpplab.pipeline import locate_session_marks
+        from fpplab.pipeline.marks import locate_session_marks
         from fpplab.sessions.session import recorded_sessions
 
         (seen,) = recorded_sessions([request.marks])

@@ -34,7 +34,7 @@ def run_board_check(request: BoardCheckRequest, observer: Observer | None = None
     from fpplab.calibration.model import Calibration
     from fpplab.characterisation import judged_board
     from fpplab.core.files import refuse_existing
-    from fpplab.pipeline import take_or_resume_session
+    from fpplab.pipeline.taking import take_or_resume_session
     from fpplab.results.check import BoardCheckResult
     from fpplab.workflows.correct import CorrectionRequest, run_correction
     from fpplab.workflows.judge import JudgementRequest, run_judgement

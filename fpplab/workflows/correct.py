@@ -34,7 +34,8 @@ def run_correction(request: CorrectionRequest, observer: Observer | None = None)
     """Find what has changed since a calibration was made, and write the corrected one and a report."""
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import refuse_existing, removed_on_failure
-    from fpplab.pipeline import correct_by_sessions, locate_session_marks
+    from fpplab.pipeline.characterising import correct_by_sessions
+    from fpplab.pipeline.marks import locate_session_marks
     from fpplab.report.characterisation import write_judgement_report
     from fpplab.results.characterisation import CorrectionResult, JudgementResult
     from fpplab.results.provenance import poses_provenance

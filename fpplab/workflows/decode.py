@@ -42,7 +42,8 @@ def run_decoding(request: DecodingRequest, observer: Observer | None = None) -> 
     from fpplab.diagnosis import diagnose_decoded
     from fpplab.diagnosis.limits import USUAL_LIMITS
     from fpplab.phase import decode
-    from fpplab.pipeline import decode_over_plane, recording_and_fault
+    from fpplab.pipeline.decoding import recording_and_fault
+    from fpplab.pipeline.heights import decode_over_plane
     from fpplab.results.decoding import DecodingResult
     from fpplab.sessions.session import Session
 

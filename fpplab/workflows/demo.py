@@ -67,7 +67,7 @@ def run_demo(request: DemoRequest, observer: Observer | None = None) -> DemoResu
 
 
 def _measure_response(rig: Rig, plan: Plan, observer: Observer) -> tuple[Response, Floats]:
-    from fpplab.pipeline import measure_response
+    from fpplab.pipeline.response import measure_response
 
     with observer.stage("Response") as progress:
         rig.need_fixture("the demonstration").mount("grey_card")
@@ -76,7 +76,8 @@ def _measure_response(rig: Rig, plan: Plan, observer: Observer) -> tuple[Respons
 
 def _characterise(rig: Rig, request: DemoRequest, observer: Observer) -> Characterisation:
     from fpplab.patterns.plan import Plan
-    from fpplab.pipeline import characterise_sessions, take_poses
+    from fpplab.pipeline.characterising import characterise_sessions
+    from fpplab.pipeline.taking import take_poses
     from fpplab.targets import Target
 
     plan, folder = Plan.load("plan_board.yaml"), request.out / BOARD
@@ -94,7 +95,8 @@ def _scan_artefact(
     from fpplab.artefacts.recognition import recognise
     from fpplab.comparison import compare
     from fpplab.core.errors import ConfigError
-    from fpplab.pipeline import finish_scan, take_or_resume_session
+    from fpplab.pipeline.measuring import finish_scan
+    from fpplab.pipeline.taking import take_or_resume_session
     from fpplab.reconstruction.points import triangulate
     from fpplab.results.demo import DemoScan
     from fpplab.results.provenance import session_provenance

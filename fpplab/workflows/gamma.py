@@ -61,7 +61,7 @@ def run_gamma(request: GammaRequest, observer: Observer | None = None) -> Respon
 def check_gamma_output(request: GammaRequest) -> None:
     """Refuse an output that exists already, or has the name of another."""
     from fpplab.core.files import refuse_existing
-    from fpplab.report import is_report
+    from fpplab.report.page import is_report
 
     for path, what in ((request.picture, "picture"), (request.page, "report")):
         if request.out == path:
@@ -77,7 +77,7 @@ def check_gamma_output(request: GammaRequest) -> None:
 def _measure_and_save(request: GammaRequest, observer: Observer) -> ResponseResult:
     from fpplab.patterns.phase_error import judge_response
     from fpplab.patterns.plan import GreyLevels
-    from fpplab.pipeline import measure_response
+    from fpplab.pipeline.response import measure_response
     from fpplab.results.provenance import described_rig, rig_provenance
     from fpplab.results.response import GreyLevelFrame, ResponseResult
 

@@ -68,8 +68,9 @@ class Instrument:
 
     def __enter__(self) -> Self:
         # What a scan needs, loaded before the first one asks for it.
-        import fpplab.pipeline
-        import fpplab.report
+        import fpplab.pipeline.measuring
+        import fpplab.pipeline.taking
+        import fpplab.report.scans
         import fpplab.results.scan  # noqa: F401
 
         self._rig.__enter__()

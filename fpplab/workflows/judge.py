@@ -27,7 +27,7 @@ def run_judgement(request: JudgementRequest, observer: Observer | None = None) -
     """Compare the errors in other poses with those that the calibration predicts."""
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import refuse_existing
-    from fpplab.pipeline import judge_sessions
+    from fpplab.pipeline.characterising import judge_sessions
     from fpplab.report.characterisation import write_judgement_report
     from fpplab.results.characterisation import JudgementResult
     from fpplab.results.provenance import poses_provenance

@@ -31,6 +31,7 @@ class ReconstructionRequest:
     session: Session
     calibration: Calibration
     out: Path | None = None  # the cloud; a report goes next to it. Without, nothing is written
+    report: bool = True  # whether it does
     depth_mm: DepthInterval | None = None  # instead of the range that plan or rig state
     filtering: bool | None = None  # instead of what the plan says of its filter
     known_mm: KnownPixels = ()  # points whose distance is known, for plans that neighbours unwrap
@@ -41,7 +42,7 @@ class ReconstructionRequest:
 
     @property
     def page(self) -> Path | None:
-        return None if self.out is None else self.out.with_suffix(".html")
+        return None if self.out is None or not self.report else self.out.with_suffix(".html")
 
 
 def run_reconstruction(request: ReconstructionRequest, observer: Observer | None = None) -> ScanResult:
@@ -53,8 +54,7 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
 
     from fpplab.clouds import save_cloud
     from fpplab.diagnosis.limits import USUAL_LIMITS
-    from fpplab.pipeline import reconstruct_session
-    from fpplab.report import write_scan_report
+    from fpplab.pipeline.measuring import reconstruct_session
     from fpplab.results.provenance import session_provenance
     from fpplab.results.scan import scan_result
 
@@ -76,11 +76,14 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
             reconstruction, provenance, stopwatch.seconds, cloud_file=request.out, report_file=request.page
         )
         observer.result(result)
-        if request.page is not None and request.out is not None:
+        saved = None if result.diagnosis.is_useless else request.out
+        if saved is not None and result.cloud is not None:
+            save_cloud(result.cloud, saved)
+    if request.page is not None:
+        from fpplab.report.scans import write_scan_report
+
+        with observer.stage("Drawing the report"), removed_on_failure(saved) if saved else nullcontext():
             write_scan_report(request.page, result)
-            if result.cloud is not None and not result.diagnosis.is_useless:
-                with removed_on_failure(request.page):
-                    save_cloud(result.cloud, request.out)
     return result
 
 
@@ -89,14 +92,14 @@ def check_output(request: ReconstructionRequest) -> None:
     from fpplab.clouds import CLOUD_SUFFIXES
     from fpplab.core.files import need_suffix, refuse_existing
 
-    if request.out is None or request.page is None:
+    if request.out is None:
         return
-    from fpplab.report import is_report
-
     need_suffix(request.out, *CLOUD_SUFFIXES)
     refuse_existing(request.out, request.force)
-    # A report alone is of a run that ended before its result.
-    refuse_existing(request.page, request.force or is_report(request.page))
+    if request.page is not None and not request.force and request.page.exists():
+        from fpplab.report.page import is_report
+
+        refuse_existing(request.page, is_report(request.page))  # which useless points had alone
 
 
 def reconstruct(

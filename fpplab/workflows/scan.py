@@ -42,7 +42,7 @@ class ScanRequest:
 
     @property
     def plan_for_depth(self) -> Plan:
-        from fpplab.pipeline import plan_with_depth
+        from fpplab.pipeline.depth import plan_with_depth
 
         return plan_with_depth(self.plan, self.depth_mm)
 
@@ -67,6 +67,7 @@ def request_of_order(
         mount=(order.item, order.pose) if order.item else None,
         depth_mm=order.depth_mm,
         force=order.force,
+        report=order.report,
         limits=load_limits(Path(order.limits)) if order.limits else None,
         plan_name=order.plan if isinstance(order.plan, str) else "plan",
         calibration_file=calibration,
@@ -89,7 +90,7 @@ def scan_on_open_rig(request: ScanRequest, observer: Observer) -> ScanResult:
 
 def preview_scan(request: ScanRequest) -> dict[str, Any]:
     """Open the rig and say what a scan would do; nothing moves, and nothing is projected or written."""
-    from fpplab.pipeline import plan_stage_moves
+    from fpplab.pipeline.taking import plan_stage_moves
 
     _check_plan_and_folder(request)
     with request.rig:
@@ -180,7 +181,7 @@ def check_scan_input(request: ScanRequest) -> None:
 
 
 def _check_plan_and_folder(request: ScanRequest) -> None:
-    from fpplab.pipeline import check_plan
+    from fpplab.pipeline.depth import check_plan
     from fpplab.sessions.session import require_session_folder
 
     check_plan(request.plan_for_depth, request.plan_name, request.calibration, request.rig, request.depth_mm)
@@ -215,7 +216,7 @@ def _scan_on_open_rig(request: ScanRequest, observer: Observer, stopwatch: Stopw
         result = _finish(request, session, observer, stopwatch)
         observer.result(result)
         if request.report:
-            from fpplab.report import write_scan_report
+            from fpplab.report.scans import write_scan_report
 
             with observer.stage("Drawing the report"):
                 write_scan_report(request.out / REPORT, result)
@@ -225,7 +226,7 @@ def _scan_on_open_rig(request: ScanRequest, observer: Observer, stopwatch: Stopw
 
 
 def _acquire(request: ScanRequest, observer: Observer) -> Session:
-    from fpplab.pipeline import take_or_resume_session
+    from fpplab.pipeline.taking import take_or_resume_session
 
     with observer.stage("Scanning") as progress:
         return take_or_resume_session(
@@ -243,7 +244,7 @@ def _acquire(request: ScanRequest, observer: Observer) -> Session:
 
 def _finish(request: ScanRequest, session: Session, observer: Observer, stopwatch: Stopwatch) -> ScanResult:
     from fpplab.diagnosis.limits import USUAL_LIMITS
-    from fpplab.pipeline import finish_scan
+    from fpplab.pipeline.measuring import finish_scan
     from fpplab.results.provenance import session_provenance
     from fpplab.results.scan import scan_result
 

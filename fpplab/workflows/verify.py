@@ -100,7 +100,7 @@ def _load_clouds(sources: Mapping[str, Path], calibration: Calibration | None) -
 def _load_cloud(path: Path, calibration: Calibration | None) -> Cloud:
     """A cloud from its file; or from a session: reconstructed again if a calibration is given."""
     from fpplab.clouds import load_cloud
-    from fpplab.pipeline import reconstruct_points
+    from fpplab.pipeline.measuring import reconstruct_points
     from fpplab.sessions.session import Session
 
     if not path.is_dir():
@@ -116,7 +116,7 @@ def _scan_standard(
     request: AcceptanceRequest, rig: Rig, observer: Observer
 ) -> tuple[dict[str, Path], dict[str, Path]]:
     """Sessions of ball bars and planes by item, scanned into a folder next to the report."""
-    from fpplab.pipeline import check_plan
+    from fpplab.pipeline.depth import check_plan
 
     standard, calibration, plan = request.standard, request.calibration, request.plan
     if calibration is None or plan is None:
@@ -145,7 +145,7 @@ def _scan_standard(
 def _check_devices(
     rig: Rig, plan: Plan, calibration: Calibration, sessions: Mapping[str, Path], force: bool
 ) -> None:
-    from fpplab.pipeline import check_disk_space
+    from fpplab.pipeline.taking import check_disk_space
 
     fixture, caps = rig.need_fixture("fpplab verify --rig"), rig.projector.caps
     plan.check_projector(caps.size, "--plan")
@@ -159,7 +159,8 @@ def _check_devices(
 def _scan_item(
     rig: Rig, plan: Plan, calibration: Calibration, item: str, path: Path, force: bool, observer: Observer
 ) -> None:
-    from fpplab.pipeline import finish_scan, take_or_resume_session
+    from fpplab.pipeline.measuring import finish_scan
+    from fpplab.pipeline.taking import take_or_resume_session
 
     with observer.stage(f"Scanning {item}") as progress:
         session = take_or_resume_session(

@@ -149,7 +149,7 @@ def record_on_twin(
     Example: `fpplab twin record --rig rig_demo --item pyramid --baseline 165 --stripes 48 --out pyramid`
     """
     from fpplab.calibration.model import Calibration
-    from fpplab.pipeline import CLOUD
+    from fpplab.core.session_names import CLOUD
     from fpplab.sessions.session import require_session_folder
     from sim.preview import Arrangement, arrangement_summary, load_simulated_rig
     from sim.preview_scan import record_scan

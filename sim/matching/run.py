@@ -13,7 +13,7 @@ from fpplab.core.progress import Progress, Say, ignore, no_progress
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import Diagnosis, FaultCause, Finding
 from fpplab.patterns.response import Response
-from fpplab.pipeline import characterise_sessions
+from fpplab.pipeline.characterising import characterise_sessions
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 from sim.bench import VirtualBench

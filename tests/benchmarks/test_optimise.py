@@ -26,6 +26,7 @@ from benchmarks.optimise_workers import WARM, KilledOnce
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.errors import DataError
+from fpplab.core.session_names import CALIBRATION
 from fpplab.core.system import cache_directory
 from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
@@ -36,7 +37,6 @@ from fpplab.optimisation.run import run_search
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.scoring import ArtefactFigures, TrueShape
 from fpplab.patterns.fringe_sets import stepped_fringes
-from fpplab.pipeline import CALIBRATION
 from sim.worker import Blender
 from sim.world import World
 from tests.sim.conftest import RIG, plain, write_world

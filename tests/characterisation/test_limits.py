@@ -6,7 +6,7 @@ import pytest
 
 from fpplab.characterisation import DistortionModel, characterise
 from fpplab.characterisation.limits import CharacterisationLimits
-from fpplab.core.config import load_document
+from fpplab.core.config import field_descriptions, load_document
 from fpplab.core.errors import CalibrationError, ConfigError
 from tests.characterisation.test_judging import seen
 from tests.support.rigs import BOARD, CAMERA, SQUARE
@@ -34,5 +34,6 @@ def test_a_limit_that_does_not_exist_is_refused(tmp_path: Path) -> None:
 
 
 def test_every_limit_says_where_it_comes_from() -> None:
-    for name, field in CharacterisationLimits.model_fields.items():
-        assert any(one in (field.description or "") for one in ("Derived", "Measured", "Chosen")), name
+    descriptions = field_descriptions(CharacterisationLimits)
+    for name in CharacterisationLimits.model_fields:
+        assert any(one in descriptions.get(name, "") for one in ("Derived", "Measured", "Chosen")), name

@@ -18,7 +18,7 @@ from fpplab.core.conventions import Floats
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import decode_session
+from fpplab.pipeline.decoding import decode_session
 from fpplab.reconstruction.points import triangulate
 from fpplab.sessions.session import Session, recorded_sessions
 from fpplab.targets import Target

@@ -14,7 +14,7 @@ from fpplab.core.units import readable_bytes
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_or_resume_session, take_poses
+from fpplab.pipeline.taking import take_or_resume_session, take_poses
 from fpplab.sessions.image_selection import ImageSelection
 from fpplab.sessions.importing import import_images
 from fpplab.sessions.session import Session

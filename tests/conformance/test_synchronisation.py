@@ -19,10 +19,11 @@ from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import CalibrationError, DataError, DeviceError, FppError, SyncError
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.core.session_names import CLOUD, DECODED, REPORT
 from fpplab.devices.rig import Rig, RigFile
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import CLOUD, DECODED, REPORT, characterise_sessions
+from fpplab.pipeline.characterising import characterise_sessions
 from fpplab.sessions.session import Session
 from fpplab.setup.rig_check.marker_check import LIMITS as MARKER_LIMITS
 from fpplab.targets import Target

@@ -109,7 +109,7 @@ def test_a_plugin_that_lacks_its_library(monkeypatch: pytest.MonkeyPatch) -> Non
         def load(self) -> None:
             raise ModuleNotFoundError("No module named 'serial'", name="serial")
 
-    monkeypatch.setattr("fpplab.core.plugins.entry_points", lambda group, name: [Entry()])
+    monkeypatch.setattr("fpplab.core.plugins.find_entries", lambda group: {"x": Entry()})
     with pytest.raises(MissingExtraError, match=r"pip install 'fpplab\[stage\]'"):
         load_plugin(COMMANDS, "x")
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from fpplab.core.config import field_descriptions
 from fpplab.core.errors import ConfigError
 from fpplab.diagnosis import Verdict, causes, diagnose_frames, known_causes, load_limits
 from fpplab.diagnosis.catalogue import limit_sections
@@ -100,8 +101,9 @@ def test_keys_are_those_of_the_modules_and_texts_are_whole() -> None:
 
 def test_every_limit_says_where_it_comes_from() -> None:
     for section, kind in limit_sections().items():
-        for name, field in kind.model_fields.items():
-            words = field.description or ""
+        descriptions = field_descriptions(kind)
+        for name in kind.model_fields:
+            words = descriptions.get(name, "")
             assert any(source in words for source in ("Derived", "Measured", "Chosen")), (section, name)
 
 

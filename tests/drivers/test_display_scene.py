@@ -16,7 +16,7 @@ from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import GreyLevels, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import measure_response
+from fpplab.pipeline.response import measure_response
 from fpplab.reconstruction.points import points_of
 from fpplab.setup.display_timing import measure_display
 from sim.items import item_poses

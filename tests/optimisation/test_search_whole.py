@@ -18,7 +18,7 @@ from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.study import Study
 from fpplab.optimisation.verdict import diagnose_search
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_or_resume_session
+from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.report.optimisation import write_optimisation_report
 from fpplab.results.search import OptimisationResult
 from fpplab.sessions.session import Session

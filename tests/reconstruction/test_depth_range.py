@@ -13,7 +13,7 @@ from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import check_plan, plan_with_depth
+from fpplab.pipeline.depth import check_plan, plan_with_depth
 from fpplab.reconstruction.depth_range import decoding_bounds, depth_bounds
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS
 from fpplab.reconstruction.points import triangulate

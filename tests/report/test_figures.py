@@ -16,7 +16,8 @@ from fpplab.core.drawing import ALARM
 from fpplab.core.errors import DataError
 from fpplab.core.robust import error_limit
 from fpplab.patterns.curve import Curve
-from fpplab.report import figures, response_figures
+from fpplab.report import figures, maps, response_figures
+from fpplab.report.map_sheet import MapSheet, colour_table, draw_maps, round_ticks
 from fpplab.report.raster import block_mean, raster_of, rasterise
 
 SIZE = (64, 48)
@@ -48,18 +49,18 @@ def test_shading_of_a_plane_follows_the_reflection_model(slopes: tuple[float, fl
     halfway = (LIGHT + [0, 0, -1]) / np.linalg.norm(LIGHT + [0, 0, -1])
     expected = 0.08 + 0.80 * max(normal @ LIGHT, 0.0) + 0.12 * max(normal @ halfway, 0.0) ** 24
     # Blurring is one-sided within four pixels of the edge, which does not tilt a plane but shortens it.
-    assert figures.surface_shading(tilted(*slopes))[8:-8, 8:-8] == pytest.approx(expected, abs=2e-4)
+    assert maps.surface_shading(tilted(*slopes))[8:-8, 8:-8] == pytest.approx(expected, abs=2e-4)
 
 
 def test_a_surface_facing_the_light_is_brighter() -> None:
-    away, towards = (np.nanmedian(figures.surface_shading(tilted(s, 0.0))) for s in (0.6, -0.6))
+    away, towards = (np.nanmedian(maps.surface_shading(tilted(s, 0.0))) for s in (0.6, -0.6))
     assert away < towards
 
 
 def test_the_relief_is_empty_where_nothing_was_measured() -> None:
     points = tilted(0.2, 0.1)
     points[10:20, 15:30] = np.nan
-    shade = figures.surface_shading(points)
+    shade = maps.surface_shading(points)
     assert np.array_equal(np.isnan(shade), np.isnan(points[..., 0]))
 
 
@@ -105,7 +106,7 @@ def test_saturated_pixels_are_marked_at_any_depth(bits: int, full: int) -> None:
     alarm = np.array([int(ALARM[i : i + 2], 16) for i in (1, 3, 5)])
 
     def marked() -> int:
-        return int(np.sum(np.abs(rgb(figures.camera_image(image, bits)) - alarm).max(-1) < 12))
+        return int(np.sum(np.abs(rgb(maps.camera_image(image, bits)) - alarm).max(-1) < 12))
 
     assert marked() == 0
     image[20:28, 30:40] = full
@@ -117,13 +118,13 @@ def test_the_cyclic_colour_map_is_continuous_at_zero() -> None:
     assert colours[0] == pytest.approx(colours[1], abs=0.01)
     phase = np.full((48, 64), 0.01, np.float32)
     phase[:, ::2] = 2 * np.pi - 0.01
-    picture = rgb(figures.wrapped_phase_figure(phase))
+    picture = rgb(maps.wrapped_phase_map(phase))
     height, width = picture.shape[:2]
     inside = picture[height // 3 : height // 2, width // 4 : width // 2]
     assert inside.reshape(-1, 3).std(0).max() < 3
 
 
-@pytest.mark.parametrize("draw", [figures.modulation_map, lambda m: figures.coordinate_map(m, "x")])
+@pytest.mark.parametrize("draw", [maps.modulation_map, lambda m: maps.coordinate_map(m, "x")])
 def test_an_empty_map_is_refused(draw: Any) -> None:
     with pytest.raises(DataError, match="no measured pixel"):
         draw(np.full((20, 30), np.nan, np.float32))
@@ -132,7 +133,7 @@ def test_an_empty_map_is_refused(draw: Any) -> None:
 def test_drawing_does_not_change_matplotlib_settings() -> None:
     before = dict(mpl.rcParams)
     ramp = np.tile(np.arange(64, dtype=np.float32), (48, 1))
-    assert figures.coordinate_map(ramp, "y") == figures.coordinate_map(ramp, "y")
+    assert maps.coordinate_map(ramp, "y") == maps.coordinate_map(ramp, "y")
     assert dict(mpl.rcParams) == before
 
 
@@ -142,8 +143,8 @@ def test_all_other_figures_are_drawn() -> None:
     response = Curve(a=0.9, b=0.02, g=2.2)
     levels = np.linspace(0, 1, 9)
     pictures = [
-        figures.shaded_relief(cloud()),
-        figures.depth_map(cloud()),
+        maps.shaded_relief(cloud()),
+        maps.depth_map(cloud()),
         figures.residuals_figure(pixels, rng.normal(0, 0.05, (30, 2)), SIZE, "camera"),
         figures.draw_coverage([pixels[:15], pixels[15:]], SIZE, "projector"),
         response_figures.response_curve(response, np.stack([levels, 0.9 * levels**2.2 + 0.02], axis=1)),
@@ -212,18 +213,35 @@ def test_a_line_of_points_is_drawn(points: int) -> None:
     pixels = np.stack([np.arange(points), np.full(points, 7)], axis=1).astype(np.int32)
     line = SimpleNamespace(points=np.full((points, 3), 400, np.float32), pixels=pixels)
     for png in (
-        figures.shaded_relief(line),
-        figures.depth_map(line),
+        maps.shaded_relief(line),
+        maps.depth_map(line),
         figures.error_map(line, np.full(points, 0.01)),
     ):
         assert rgb(png).std() > 5
+
+
+@pytest.mark.parametrize("name", ["viridis", "viridis_r", "cividis", "inferno", "twilight", "gray", "RdBu_r"])
+def test_colours_are_those_of_figures(name: str) -> None:
+    figure = mpl.colormaps[name](np.linspace(0, 1, 256), bytes=True)[:, :3].astype(int)
+    assert np.abs(colour_table(name) - figure).max() <= 3
+
+
+def test_a_map_has_its_colours_and_round_numbers() -> None:
+    assert round_ticks(-0.5, 1687.5, 4) == [(0.0, "0"), (500.0, "500"), (1000.0, "1000"), (1500.0, "1500")]
+    assert round_ticks(-0.06, 0.06, 4)[0] == (-0.05, "\N{MINUS SIGN}0.05")
+    values = np.tile(np.linspace(0, 1, 600, dtype=np.float32), (400, 1))
+    values[100:200] = np.nan
+    picture = rgb(draw_maps(MapSheet(values, "viridis", (0.0, 1.0), axes=None)))
+    table = colour_table("viridis")
+    assert np.abs(picture[50, [5, 300, 595]] - table[[2, 127, 253]]).max() <= 8
+    assert picture[150, 300].tolist() == [0xB9, 0xBC, 0xC0]
 
 
 def test_scattered_pixels_need_no_contours() -> None:
     values = np.full((800, 1200), np.nan, np.float32)
     values[::40, ::40] = 5.0
     values[0, 0] = 300.0
-    assert rgb(figures.coordinate_map(values, "x")).std() > 5
+    assert rgb(maps.coordinate_map(values, "x")).std() > 5
 
 
 def test_mismatched_marker_levels_are_drawn_in_the_alarm_colour() -> None:

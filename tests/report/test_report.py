@@ -22,7 +22,9 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Region, Response, ResponseLevel
 from fpplab.phase import Decoded, Wrapped
-from fpplab.report import ScanSection, figures, write_report
+from fpplab.report import figures
+from fpplab.report.measurements import write_report
+from fpplab.report.scan_section import ScanSection
 from fpplab.report.uncertainty import shape_sigma_mm, sigma_caption, sigma_maps
 
 SIZE = (64, 48)

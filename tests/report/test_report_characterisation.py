@@ -14,8 +14,8 @@ from fpplab.characterisation.result import align_similarity, board_deviation, ep
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
-from fpplab.report import write_report
 from fpplab.report.characterisation_figures import board_shape, epipolar_figure
+from fpplab.report.measurements import write_report
 from tests.support.rigs import BOARD, CAMERA, PAIR, SQUARE, observed, poses
 
 TRUE = Calibration(CAMERA, SQUARE, PAIR, {})

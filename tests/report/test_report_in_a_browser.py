@@ -14,7 +14,8 @@ from PIL import Image as Pixels
 
 from fpplab.diagnosis import Diagnosis, Finding, Verdict
 from fpplab.diagnosis.causes.ambient import AMBIENT
-from fpplab.report import PageBasis, write_report
+from fpplab.report.measurements import write_report
+from fpplab.report.page import PageBasis
 from fpplab.results.provenance import Provenance
 from tests.report.test_report import Page, scan
 from tests.support.browser import NO_WEBGL, SOFTWARE_WEBGL, Browser, chromium

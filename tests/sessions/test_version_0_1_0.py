@@ -12,7 +12,8 @@ from fpplab.devices.backends import load_backend
 from fpplab.devices.operator import Operator
 from fpplab.devices.rig import Rig, RigFile
 from fpplab.patterns.plan import FilterRules, MaskRules
-from fpplab.pipeline import decode_session, take_or_resume_session
+from fpplab.pipeline.decoding import decode_session
+from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.sessions.replay import RecordedSession, ReplayCamera, ReplayProjector
 
 DATA = Path(__file__).parents[1] / "data" / "version_0_1_0"

@@ -26,7 +26,7 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_poses
+from fpplab.pipeline.taking import take_poses
 from fpplab.sessions.session import Session
 from sim.build import SceneState
 from sim.extension import MANIFEST, write_extension

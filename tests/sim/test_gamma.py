@@ -19,7 +19,7 @@ from fpplab.patterns.phase_error import judge_response, phase_error, shown_phase
 from fpplab.patterns.plan import GreyLevels, Plan
 from fpplab.patterns.response import Response
 from fpplab.phase import wrapped_phase
-from fpplab.pipeline import measure_response
+from fpplab.pipeline.response import measure_response
 from sim.world import World
 from tests.sim.conftest import RIG, plain, write_world
 

@@ -20,7 +20,8 @@ from fpplab.optimisation.study import Study
 from fpplab.patterns.fringe_sets import stepped_fringes
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import reconstruct_points, take_or_resume_session
+from fpplab.pipeline.measuring import reconstruct_points
+from fpplab.pipeline.taking import take_or_resume_session
 from sim.items import item_poses
 from sim.world import World
 from tests.sim.conftest import RIG, plain, write_world

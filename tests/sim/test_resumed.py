@@ -8,7 +8,7 @@ from fpplab.devices import Frame
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_or_resume_session
+from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.sessions.origin import session_origin
 from fpplab.sessions.session import Session
 

@@ -8,8 +8,8 @@ import pytest
 
 from fpplab.clouds import save_cloud
 from fpplab.core.files import make_directory
+from fpplab.core.session_names import CLOUD, DECODED
 from fpplab.optimisation.scope import SearchScope
-from fpplab.pipeline import CLOUD, DECODED
 from fpplab.viewer import host
 from fpplab.viewer.canvas import BACKGROUND, Canvas
 from fpplab.viewer.measurement import MeasurementView

@@ -25,12 +25,12 @@ from fpplab.clouds import Cloud, save_cloud
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import DeviceError
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.core.session_names import CLOUD, DECODED
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
-from fpplab.pipeline import CLOUD, DECODED
 from fpplab.sessions.session import Session
 from fpplab.viewer import host
 from fpplab.viewer import server as servers

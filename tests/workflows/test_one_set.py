@@ -9,7 +9,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.diagnosis import Verdict
 from fpplab.phase import Decoded
-from fpplab.pipeline import parse_known
+from fpplab.pipeline.decoding import parse_known
 from fpplab.workflows.decode import DecodingRequest, run_decoding
 from fpplab.workflows.reconstruct import reconstruct
 from tests.phase.test_bent_phases import bent

@@ -7,7 +7,6 @@ import pytest
 import yaml
 
 from fpplab import Calibration, Plan, Rig, ScanResult, Session, reconstruct, scan
-from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
 from fpplab.diagnosis import UselessScanError
 from tests.cli.test_verdict import recorded
@@ -84,6 +83,19 @@ def test_a_scan_can_go_without_a_report(bench: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.whole
+def test_the_verdict_is_told_before_the_report_is_drawn_if_it_is(
+    fpplab: Command, bench: Path, tmp_path: Path
+) -> None:
+    words = "--calibration", bench / "calibration.yaml", "--out", tmp_path / "cloud.ply", "--json"
+    done = fpplab("reconstruct", bench / "session", *words)
+    assert done.err.index("verdict: ") < done.err.index("Drawing the report")
+    assert done.err.count("verdict: ") == 1
+    plain = fpplab("reconstruct", bench / "session", *words, "--force", "--report", "no")
+    assert plain.json["report"] is None
+    assert "Drawing" not in plain.err
+
+
+@pytest.mark.whole
 def test_a_reconstruction_in_python_is_that_of_the_command(
     fpplab: Command, bench: Path, tmp_path: Path
 ) -> None:
@@ -115,14 +127,14 @@ def test_a_session_without_points_is_useless_in_python_too(tmp_path: Path) -> No
 
 
 @pytest.mark.whole
-def test_a_report_is_not_left_without_its_cloud(
+def test_a_cloud_is_there_before_its_report_and_not_left_without(
     bench: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(cloud: Cloud, path: Path) -> None:
-        assert path.with_suffix(".html").is_file()
+    def full(path: Path, result: ScanResult) -> None:
+        assert path.with_suffix(".ply").is_file()
         raise DataError(f"{path}: no space left on the disk")
 
-    monkeypatch.setattr("fpplab.clouds.save_cloud", full)
+    monkeypatch.setattr("fpplab.report.scans.write_scan_report", full)
     with pytest.raises(DataError, match="no space left"):
         reconstruct(bench / "session", bench / "calibration.yaml", out=tmp_path / "cloud.ply")
     assert files(tmp_path) == set()

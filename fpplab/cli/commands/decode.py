@@ -54,7 +54,7 @@ def decode_command(
     `--plane` the file also has `height_mm` and `sigma_height_mm`, and `--known` takes heights.
     """
     from fpplab.diagnosis import load_limits
-    from fpplab.pipeline import parse_known
+    from fpplab.pipeline.decoding import parse_known
     from fpplab.workflows.decode import DecodingRequest, run_decoding
 
     request = DecodingRequest(

@@ -86,8 +86,8 @@ def import_command(
             raise ConfigError(f"{name} goes with --phase")
     if plan is None:
         raise ConfigError("--plan: is missing; name the plan that the images show")
-    from fpplab import pipeline
     from fpplab.patterns.plan import Plan
+    from fpplab.pipeline.checking import doubts_about_session
     from fpplab.sessions.image_selection import ImageSelection, numbers_of
     from fpplab.sessions.importing import import_images
 
@@ -99,7 +99,7 @@ def import_command(
             projector_size=projector_size, lattice=lattice, bayer=bayer,
             warn=warnings.append, tell=console.log_status,
         )  # fmt: skip
-        warnings += pipeline.doubts_about_session(session)
+        warnings += doubts_about_session(session)
     for warning in warnings:
         console.log_status(f"warning: {warning}")
     size, shown_in = session.projector()

@@ -11,10 +11,12 @@ from fpplab.cli.app import (
     AsRecorded,
     CalibrationOption,
     DepthOption,
+    DrawReport,
     Force,
     Json,
     LimitsOption,
     Out,
+    YesNo,
     app,
 )
 from fpplab.cli.completion import option
@@ -42,6 +44,7 @@ def reconstruct_command(
     ] = None,
     as_recorded: AsRecorded = False,
     limits: LimitsOption = None,
+    report: DrawReport = YesNo.YES,
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     force: Force = False,
@@ -63,7 +66,7 @@ def reconstruct_command(
         return
     from fpplab.calibration.model import Calibration
     from fpplab.diagnosis import load_limits
-    from fpplab.pipeline import parse_known
+    from fpplab.pipeline.decoding import parse_known
     from fpplab.sessions.session import Session
     from fpplab.workflows.reconstruct import ReconstructionRequest, run_reconstruction
 
@@ -75,6 +78,7 @@ def reconstruct_command(
         known_mm=parse_known(known or ()),
         filtering=filtering,
         as_recorded=as_recorded,
+        report=report is YesNo.YES,
         force=force,
         limits=load_limits(limits) if limits else None,
         calibration_file=calibration,
@@ -82,7 +86,6 @@ def reconstruct_command(
     observer = observe_measurement(context, view, keep_open, out.with_suffix(".rrd"))
     result = run_reconstruction(request, observer)
     result.require_usable()
-    console.log_status(result.diagnosis.sentence)
     console.print_result(result.summary(), json)
 
 

@@ -14,12 +14,14 @@ from fpplab.cli.app import (
     MEASURE,
     CalibrationOption,
     DepthOption,
+    DrawReport,
     Force,
     Json,
     LimitsOption,
     Out,
     PlanName,
     RigName,
+    YesNo,
     app,
 )
 from fpplab.cli.completion import option
@@ -44,6 +46,7 @@ def scan_command(
     keep_open: KeepOpen = False,
     depth: DepthOption = None,
     limits: LimitsOption = None,
+    report: DrawReport = YesNo.YES,
     dry_run: Annotated[
         bool, option("--dry-run", "Report where the stage would move, without moving or projecting.")
     ] = False,
@@ -71,6 +74,7 @@ def scan_command(
         pose=pose,
         depth_mm=depth,
         limits=None if limits is None else str(limits),
+        report=report is YesNo.YES,
         force=force,
         allow=tuple(confirmed_in_advance()),
     )
@@ -102,7 +106,6 @@ def _scan_here(context: typer.Context, rig: str, order: ScanOrder, watching: Wat
     observer = observe_measurement(context, watching.view, watching.keep_open, out / RECORDING)
     result = run_scan(request, observer)
     result.require_usable()
-    console.log_status(result.diagnosis.sentence)
     console.print_result(result.summary(), json)
 
 

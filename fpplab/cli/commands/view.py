@@ -44,8 +44,7 @@ def view_command(
     """
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import need_suffix, refuse_existing
-    from fpplab.core.session_names import JOURNAL, RECORDING
-    from fpplab.pipeline import CALIBRATION
+    from fpplab.core.session_names import CALIBRATION, JOURNAL, RECORDING
     from fpplab.sessions.session import Session
     from fpplab.viewer.recorded import view_recording, view_session
 

@@ -42,7 +42,7 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.core.drawing import value_range
+    from fpplab.core.robust import value_range
     from fpplab.diagnosis.pictures import draw_sample_map
 
     sample, limit = evidence.frames, evidence.limits.of(AmbientLimits).max_ratio

@@ -27,7 +27,8 @@ from fpplab.core.session_names import JOURNAL
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import Finding
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import check_disk_space, observe_session, require_plan_fits, take_or_resume_session
+from fpplab.pipeline.characterising import observe_session, require_plan_fits
+from fpplab.pipeline.taking import check_disk_space, take_or_resume_session
 from fpplab.sessions.origin import calibration_origin
 from fpplab.sessions.session import Session
 from fpplab.setup.guide.asking import PICTURE, bring_by, held_first_pose, write_sketch

@@ -17,7 +17,7 @@ from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import CalibrationError, FppError
 from fpplab.core.geometry import Pinhole
-from fpplab.pipeline import decode_session
+from fpplab.pipeline.decoding import decode_session
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 

@@ -26,7 +26,7 @@ from fpplab.devices.rig import Rig
 from fpplab.devices.rig_lock import RigTurn
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_or_resume_session
+from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.sessions.session import Session
 from fpplab.setup.live.coverage import BoardCoverage
 from fpplab.setup.live.expectation import WorkingPoint

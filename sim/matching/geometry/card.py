@@ -7,7 +7,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.robust import huber_weights, robust_spread
-from fpplab.pipeline import reconstruct_points
+from fpplab.pipeline.measuring import reconstruct_points
 from fpplab.sessions.session import Session
 
 MAX_BENT_MM = 0.5

@@ -15,7 +15,7 @@ from fpplab.core.depth import DepthRange
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.pipeline import reconstruct_points
+from fpplab.pipeline.measuring import reconstruct_points
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import coordinate_noise

@@ -27,7 +27,7 @@ from fpplab.diagnosis.causes.of_matching_and_search import ARTEFACT_MISFIT
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import reconstruct_points
+from fpplab.pipeline.measuring import reconstruct_points
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import camera_rays

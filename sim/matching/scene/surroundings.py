@@ -23,7 +23,7 @@ from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import FppError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.progress import Progress, no_progress
-from fpplab.pipeline import reconstruct_points
+from fpplab.pipeline.measuring import reconstruct_points
 from fpplab.targets import Target
 from sim.appearance import Appearance, BenchSurroundings, BoardSheet
 from sim.matching.loss import rectangle_mask

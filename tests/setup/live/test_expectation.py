@@ -12,7 +12,8 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import reconstruct_points, take_or_resume_session
+from fpplab.pipeline.measuring import reconstruct_points
+from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
 from fpplab.setup.live.orders import Order
 from fpplab.setup.live.status import overall_median

@@ -11,7 +11,7 @@ from fpplab.core import config
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_poses
+from fpplab.pipeline.taking import take_poses
 from tests.support.commands import NO_DISPLAY, Command
 from tests.support.recordings import Recording
 

@@ -11,7 +11,7 @@ from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Predictable
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_or_resume_session
+from fpplab.pipeline.taking import take_or_resume_session
 from sim.prediction.discrepancy import ContrastDeviation, Deviation, Discrepancy
 from tests.support.commands import Command
 

@@ -12,7 +12,7 @@ from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
 from fpplab.diagnosis.causes.projector_drift import PROJECTOR_DRIFT
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import characterise_sessions
+from fpplab.pipeline.characterising import characterise_sessions
 from fpplab.sessions.session import Session
 from sim.matching import match
 from sim.matching.judging import verdict

@@ -13,7 +13,7 @@ from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Predictable
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_or_resume_session
+from fpplab.pipeline.taking import take_or_resume_session
 from sim.bench import VirtualBench
 from sim.matching.judging.discrepancy import discrepancy_of, level_differences, scan_figures
 from sim.matching.loss import board_mask

@@ -16,7 +16,7 @@ from fpplab.core.conventions import Floats
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_poses
+from fpplab.pipeline.taking import take_poses
 from fpplab.sessions.session import recorded_sessions
 from sim.matching.reference import Reference
 from sim.matching.scene.appearance import AppearanceTrial, match_appearance

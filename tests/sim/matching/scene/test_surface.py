@@ -18,7 +18,7 @@ from fpplab.devices.simulation import Predictable
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take_or_resume_session
+from fpplab.pipeline.taking import take_or_resume_session
 from sim.matching.judging.measured import measured_figures
 from sim.matching.parts import match_parts
 from sim.matching.refusal import Refusals
