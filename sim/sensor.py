@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Image, Map, full_scale, raw_dtype
 from fpplab.devices import CameraSettings
 from fpplab.patterns.mosaic import colour_factors
@@ -116,7 +116,7 @@ def _photons(led: LedWorld) -> float:
 _BORDERS_NM = (-585.0, -490.0)  # between red, green and blue light, falling
 
 
-@numba.njit(cache=True)
+@kernel()
 def _digitise(
     charge: NDArray[np.float32], full_well: float, gain: float, black: float, full_scale: int, out: Image
 ) -> None:

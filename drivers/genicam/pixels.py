@@ -6,10 +6,10 @@ The names are those of GenICam's Pixel Format Naming Convention (PFNC).
 import re
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Image
 
 PIXELS: dict[str, Any] = {"Mono8": np.uint8, "Mono10": np.uint16, "Mono12": np.uint16, "Mono16": np.uint16}
@@ -60,7 +60,7 @@ def _rows_without_padding(
     return np.lib.stride_tricks.as_strided(raw, (height, row_bytes), (pitch, 1), writeable=False)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _unpack_12_bit_pixels(rows: Any, width: int) -> Any:
     """uint16 (rows, width) from uint8 (rows, bytes); of an odd number the last pixel takes two bytes."""
     out = np.empty((rows.shape[0], width), np.uint16)

@@ -13,7 +13,6 @@ from itertools import product
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from fpplab.calibration.model import INTRINSICS
@@ -25,6 +24,7 @@ from fpplab.characterisation.parameters import (
     compose_with_derivatives,
     project_with_derivatives,
 )
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Floats
 from fpplab.core.robust import huber_weights
 
@@ -300,7 +300,7 @@ def without_poses(solution: Solution, held: Sequence[int] | int) -> Solution:
     return replace(solution, poses=np.delete(solution.poses, held, axis=0), ages=ages)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def add_points(
     matrix: Floats,
     gradient: Floats,

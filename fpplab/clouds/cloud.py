@@ -6,12 +6,13 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from fpplab.clouds.pixelgrid import PixelGrid, are_within
 from fpplab.clouds.selection import are_finite, select_rows
 from fpplab.core import buffers
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.extras import need_extra
@@ -386,7 +387,7 @@ def _root_of_squares(a: CloudPoints, b: CloudPoints) -> CloudPoints:
     return root
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _add_in_quadrature(a: CloudPoints, b: CloudPoints, root: CloudPoints) -> None:
     for i in prange(len(a)):
         root[i] = np.sqrt(a[i] * a[i] + b[i] * b[i])

@@ -8,12 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from fpplab.clouds.surfaces import NOISE_SIGMAS, is_continuous, surface_normals
 from fpplab.core import buffers
 from fpplab.core.cholesky import solve_positive
+from fpplab.core.compiled import kernel, kernel_part
 from fpplab.core.conventions import Floats, Map
 
 _TERMS = 6  # coefficients of a polynomial of second degree in two variables
@@ -103,7 +104,7 @@ def _quadric_design(window: int) -> Floats:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _clear(index: PixelColumnsRows, a: Map, b: Map, w: Map, noise: Map) -> None:
     for v in prange(len(index)):
         index[v, :] = -1
@@ -111,7 +112,7 @@ def _clear(index: PixelColumnsRows, a: Map, b: Map, w: Map, noise: Map) -> None:
         noise[v, :] = 0.0
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _scatter(
     points: GridPoints,
     pixels: PixelColumnsRows,
@@ -136,7 +137,7 @@ def _scatter(
             noise[v, u] = weight * spread * inverse_depth
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def are_within(pixels: PixelColumnsRows, width: int, height: int) -> bool:
     # pixels (N, 2)
     outside = 0
@@ -146,7 +147,7 @@ def are_within(pixels: PixelColumnsRows, width: int, height: int) -> bool:
     return outside == 0
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _faces(
     index: PixelColumnsRows,
     a: Map,
@@ -194,7 +195,7 @@ def _faces(
             starts[v] = at
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _quadric(
     index: PixelColumnsRows,
     a: Map,
@@ -238,7 +239,7 @@ def _quadric(
             distances[i] = away / np.sqrt(alpha * alpha + beta * beta + gamma * gamma)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _fit_present(design: Floats, values: Floats) -> Floats:
     matrix, right = np.zeros((_TERMS, _TERMS)), np.zeros(_TERMS)
     for k in range(len(values)):

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from fpplab.core import buffers
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Mask
 
 _BLOCK = 4096  # rows that one thread counts and copies at a time (chosen)
@@ -46,7 +47,7 @@ def _runs(kept: Mask) -> Runs:
     return runs
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _find_runs(kept: Mask, starts: NDArray[np.int64], counting: bool, runs: Runs) -> None:
     """Count the runs and rows of each block into `starts`, or fill `runs` from there."""
     for block in prange(len(starts)):
@@ -68,14 +69,14 @@ def _find_runs(kept: Mask, starts: NDArray[np.int64], counting: bool, runs: Runs
             starts[block, 0], starts[block, 1] = run, rows
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _fill_places(runs: Runs, places: NDArray[np.int32]) -> None:
     for r in prange(len(runs)):
         for i in range(runs[r, 0], runs[r, 1]):
             places[i] = runs[r, 2] + i - runs[r, 0]
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _copy(values: NDArray[Any], runs: Runs, width: int, selected: NDArray[Any]) -> None:
     for r in prange(len(runs)):
         first, to = runs[r, 0] * width, runs[r, 2] * width
@@ -83,7 +84,7 @@ def _copy(values: NDArray[Any], runs: Runs, width: int, selected: NDArray[Any]) 
             selected[to + k] = values[first + k]
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def are_finite(points: NDArray[np.float32]) -> bool:
     # points (N, 3)
     wrong = 0

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel, kernel_part
 from fpplab.core.conventions import Map
 
 STEEPEST_DEG = 80.0  # greatest inclination of a surface to the image plane (chosen: as a comparison counts)
@@ -31,7 +32,7 @@ def is_continuous(da: float, db: float, dw: float, w: float, noise: float) -> bo
     return bool(abs(dw) <= w * (_STEEPEST * np.sqrt(da * da + db * db) + noise))
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def surface_normals(
     index: NDArray[np.int32], a: Map, b: Map, w: Map, noise: Map, normals: NDArray[np.float32]
 ) -> None:
@@ -56,7 +57,7 @@ def surface_normals(
             _solve_planes(index[v, first:], a[v, first:], b[v, first:], w[v, first:], sums, n, normals)
 
 
-@njit(error_model="numpy")
+@kernel_part(error_model="numpy")
 def _add_neighbours(
     a0: Any, b0: Any, w0: Any, noise0: Any, a: Any, b: Any, w: Any, noise: Any, sums: Any, pixel_count: int
 ) -> None:
@@ -79,7 +80,7 @@ def _add_neighbours(
         sums[i + _SBW] += db * dw
 
 
-@njit(error_model="numpy")
+@kernel_part(error_model="numpy")
 def _solve_planes(index: Any, a0: Any, b0: Any, w0: Any, sums: Any, pixel_count: int, normals: Any) -> None:
     for j in range(pixel_count):
         i = _u(j)

@@ -5,6 +5,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 
@@ -72,7 +73,7 @@ def _by_tree(queries: Floats, points: Floats) -> tuple[Floats, Indices]:
     return np.asarray(distance), np.asarray(index, np.int64)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _sort_by_cell(places: Floats, low: Floats, per_cell: float, shape: Starts) -> tuple[Indices, Starts]:
     cells = np.empty(len(places), np.int64)
     starts = np.zeros(shape[0] * shape[1] + 1, np.int64)
@@ -102,7 +103,7 @@ def _scan(
     return best, best_at
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _search(
     queries: Floats,
     turn: Indices,

@@ -5,6 +5,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from fpplab.comparison.neighbours import nearest_neighbours
+from fpplab.core.compiled import kernel, kernel_part
 from fpplab.core.conventions import Floats
 
 Ints = NDArray[np.int64]
@@ -23,7 +24,7 @@ def distance_to_surface(queries: Floats, vertices: Floats, faces: NDArray[np.int
     return distance
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _faces_around(faces: NDArray[np.int32], count: int) -> tuple[Ints, Ints]:
     begins = np.zeros(count + 1, np.int64)
     for f in range(len(faces)):
@@ -39,7 +40,7 @@ def _faces_around(faces: NDArray[np.int32], count: int) -> tuple[Ints, Ints]:
     return around, begins
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _walk(
     queries: Floats,
     start: Ints,
@@ -77,7 +78,7 @@ def _square_to_segment(px: float, py: float, pz: float, dx: float, dy: float, dz
     return float(rx * rx + ry * ry + rz * rz)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _square_to_triangle(x: float, y: float, z: float, vertices: Floats, face: NDArray[np.int32]) -> float:
     a, b, c = face[0], face[1], face[2]
     ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]

@@ -1,12 +1,12 @@
 """Small symmetric systems solved within compiled loops, where raising an exception is not possible."""
 
 import numpy as np
-from numba import njit
 
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Floats
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def solve_positive(matrix: Floats, right: Floats, damping: float, solution: Floats) -> bool:
     # matrix (n, n); right (n,); solution (n,)
     n = len(right)

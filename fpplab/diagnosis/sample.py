@@ -8,11 +8,11 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from fpplab.clouds import Cloud
+from fpplab.core.compiled import kernel
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Axis, Floats, Map, Mask
 from fpplab.core.robust import robust_spread
@@ -219,7 +219,7 @@ class FrameSample:
         return np.asarray(self.lit & ~self.saturated)
 
 
-@njit(cache=True)
+@kernel()
 def _enter_numbers(pixels: NDArray[np.int32], step: int, numbers: NDArray[np.int32]) -> None:
     row, is_sampled = -1, False
     for i in range(len(pixels)):

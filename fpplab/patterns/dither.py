@@ -6,8 +6,8 @@ Source: Floyd and Steinberg, "An adaptive algorithm for spatial grayscale", 1976
 """
 
 import numpy as np
-from numba import njit
 
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Floats, Lattice
 
 NEXT, BELOW = 7 / 16, (3 / 16, 5 / 16, 1 / 16)
@@ -29,7 +29,7 @@ def diffuse(levels: Floats, greys: int, lattice: Lattice, number: int) -> Floats
     return np.asarray(_diffuse(continuous, greys, first, number % 2, lattice is Lattice.DIAMOND))
 
 
-@njit(cache=True)
+@kernel()
 def _diffuse(
     levels: Floats, greys: int, first: Floats, backwards: int, diamond: bool
 ) -> Floats:  # pragma: no cover: compiled

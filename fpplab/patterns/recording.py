@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from fpplab.core import buffers
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Axis, Floats, Image, Lattice, Map, full_scale, raw_per_grey
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError, DataError
@@ -369,14 +369,14 @@ class Recording:
         return replace(self, frames=native)
 
 
-@njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def _add(frame: Image, total: Map) -> None:
     for v in range(len(total)):
         for u in range(total.shape[1]):
             total[v, u] += np.float32(frame[v, u])
 
 
-@njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def _round(total: Map, divisor: np.float32, mean: NDArray[np.uint8]) -> None:
     for v in range(len(total)):
         for u in range(total.shape[1]):

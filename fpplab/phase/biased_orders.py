@@ -13,9 +13,9 @@ each other on one side as on the other.
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel, kernel_part
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.robust import robust_spread
 from fpplab.phase.limits import BIASED_ORDERS as LIMITS
@@ -136,7 +136,7 @@ def _has_most(groups: FlatIndices, orders: FlatIndices, areas: FlatIndices) -> M
     )
 
 
-@njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def _find_parts(
     coordinate: Map, sigma: Map, cause: NDArray[np.uint8], width: int, max_sigma: np.float32, half: np.float32
 ) -> tuple[PartNumbers, PartNumbers, PartNumbers, PartNumbers, PartNumbers]:
@@ -197,14 +197,14 @@ def _find_parts(
     return labels, leads[:count], sizes[:count], measured[:count], steps[:step_count]
 
 
-@njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def _mark(cause: NDArray[np.uint8], labels: PartNumbers, dropped: NDArray[np.bool_], mark: np.uint8) -> None:
     for pixel in range(len(cause)):
         if dropped[labels[pixel]] and cause[pixel] == 0:
             cause[pixel] = mark
 
 
-@njit(nogil=True, cache=True)
+@kernel_part()
 def _unite(leads: PartNumbers, a: np.uintp, b: np.uintp) -> np.uintp:
     """Let the greater one's part lead to the other's."""
     first, second = a, b
@@ -218,7 +218,7 @@ def _unite(leads: PartNumbers, a: np.uintp, b: np.uintp) -> np.uintp:
     return lead
 
 
-@njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def _join(
     first: FlatIndices, second: FlatIndices, jumps: FlatIndices, lengths: FlatIndices, sizes: PartNumbers
 ) -> tuple[FlatIndices, FlatIndices]:

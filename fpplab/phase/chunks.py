@@ -1,9 +1,8 @@
 """What the compiled parts of the decoder share: chunks of pixels, and how functions are compiled."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numba import njit
+
+from fpplab.core.compiled import kernel, kernel_part
 
 CHUNK = 2048
 """Pixels whose sums are kept in the cache at a time (chosen). A constant, as the others of the kernels: the
@@ -18,11 +17,10 @@ LOW, HIGH = np.uintp(7 * ROW), np.uintp(8 * ROW)
 
 # NaN and infinity keep their meaning: only what cannot hide them is relaxed.
 _RELAXED = {"contract", "reassoc", "nsz", "arcp"}
-compiled = njit(nogil=True, cache=True, error_model="numpy", fastmath=_RELAXED)
+compiled = kernel(nogil=True, error_model="numpy", fastmath=_RELAXED)
 """Decorator of every compiled function that works on chunks."""
+compiled_part = kernel_part(error_model="numpy", fastmath=_RELAXED)
 
-if TYPE_CHECKING:
-    compiled_lean = compiled
-else:  # an option that numba has for its own functions
-    compiled_lean = njit(nogil=True, cache=True, error_model="numpy", fastmath=_RELAXED, _nrt=False)
-"""The same without counting references to arrays, which takes longer than short functions: it makes none."""
+# Without counting references to arrays, which takes longer than short functions: they make none.
+compiled_lean = kernel(nogil=True, error_model="numpy", fastmath=_RELAXED, _nrt=False)
+lean_part = kernel_part(error_model="numpy", fastmath=_RELAXED, _nrt=False)

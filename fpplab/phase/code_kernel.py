@@ -19,7 +19,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from fpplab.phase.chunks import compiled_lean
+from fpplab.phase.chunks import compiled_lean, lean_part
 
 LANES = 64  # codes that are correlated at a time (chosen: four vectors, whose sums overlap)
 BATCH = 64  # pixels whose scores are kept, for the rest to be computed of many at a time (chosen: the cache)
@@ -129,7 +129,7 @@ def _correlate_all(_typing: Any, x: Any, codes: Any, row: Any, images: Any, coun
     return types.int64(address, address, integer, integer, integer, address), generate
 
 
-@compiled_lean
+@lean_part
 def _correlate(x: Any, codes: Any, first: int, last: int, scores: Any, into: int) -> int:
     """Correlate the levels of one pixel with a range of codes, and give the best of them."""
     size = codes.itemsize
@@ -157,7 +157,7 @@ def _span_of(_typing: Any, scores: Any, least: Any) -> Any:
     return both(types.uintp, types.float32), generate
 
 
-@compiled_lean
+@lean_part
 def _reaching(scores: Any, least: Any, first: int, last: int) -> tuple[int, int]:
     """First and last index of the scores that are as great; the ends the other way round without any."""
     # Whole vectors are read as they were written, which the processor need not wait for.
@@ -169,12 +169,12 @@ def _reaching(scores: Any, least: Any, first: int, last: int) -> tuple[int, int]
     return low, high
 
 
-@compiled_lean
+@lean_part
 def _square(correlation: Any) -> Any:
     return np.float64(correlation) * correlation if correlation > 0.0 else 0.0
 
 
-@compiled_lean
+@lean_part
 def _lobe(scores: Any, best: int, first: int, last: int) -> tuple[int, int]:
     """Range of candidates about a peak, on which a candidate lies, down to the valleys beside it."""
     while best > first and scores[best - 1] > scores[best]:
@@ -189,7 +189,7 @@ def _lobe(scores: Any, best: int, first: int, last: int) -> tuple[int, int]:
     return low, high + 1
 
 
-@compiled_lean
+@lean_part
 def _least_score(square: float, power: float, table: Any) -> Any:
     """Score below which no code of a candidate has a correlation whose square is as great."""
     square = min(max(square, 0.0), power)
@@ -197,14 +197,14 @@ def _least_score(square: float, power: float, table: Any) -> Any:
     return bound - _ROUNDING * np.sqrt(power)
 
 
-@compiled_lean
+@lean_part
 def _variance(lost: float, mean: float, images: int, limits: Any) -> float:
     # A pixel's own misfit tells its variance only where chance hardly explains it.
     freedom, expected = max(images - 3, 1), limits.constant + limits.per_level * mean
     return lost / freedom if lost > limits.surprising * freedom * expected else expected
 
 
-@compiled_lean
+@lean_part
 def _keep(p: int, at: int, left: int, right: int, top: Any, table: Any, work: Any) -> None:
     """Store the best grid point of a pixel, its correlations, and what its fit needs."""
     points, fit, x = work.points, work.fit, work.levels[p]
@@ -217,7 +217,7 @@ def _keep(p: int, at: int, left: int, right: int, top: Any, table: Any, work: An
     fit[_STEEPNESS + p], fit[_OTHER + p] = table.steepness[at], table.beside[at] + _ROUNDING
 
 
-@compiled_lean
+@lean_part
 def _fit(first: int, last: int, means: Any, step: float, limits: Any, images: int, fit: Any) -> None:
     """Fit pixels by one step of Newton's from their best grid points."""
     for p in range(first, last):
@@ -231,7 +231,7 @@ def _fit(first: int, last: int, means: Any, step: float, limits: Any, images: in
         fit[_VARIANCE + p] = _variance(fit[_POWER + p] - peak, float(means[p]), images, limits)
 
 
-@compiled_lean
+@lean_part
 def _prove(count: int, limits: Any, fit: Any) -> None:
     """Leave a correlation of 0 where another code than that beside a candidate may matter."""
     for p in range(count):
@@ -245,7 +245,7 @@ def _prove(count: int, limits: Any, fit: Any) -> None:
         fit[_GAP + p] = limits.certain_chi2
 
 
-@compiled_lean
+@lean_part
 def _searched(pixel: Any, lobe: Any, c: int, grid: Any, table: Any, limits: Any, work: Any) -> Any:
     """Likeliest grid point of a lobe, and the ends of the grid points that noise may not exclude."""
     x, mean, power = pixel
@@ -270,7 +270,7 @@ def _searched(pixel: Any, lobe: Any, c: int, grid: Any, table: Any, limits: Any,
     return at, left, right
 
 
-@compiled_lean
+@lean_part
 def _runner_up(
     pixel: Any, square: float, least: float, part: Any, lobe: Any, grid: Any, table: Any, work: Any
 ) -> Any:
@@ -292,7 +292,7 @@ def _runner_up(
     return greatest, best
 
 
-@compiled_lean
+@lean_part
 def _search_everywhere(p: int, mean: float, grid: Any, table: Any, limits: Any, work: Any) -> None:
     """Find the best grid point of a pixel among all candidates, and the runner-up."""
     x, fit, c = work.levels[p], work.fit, -1
@@ -337,7 +337,7 @@ def measure_beside(table: Any, work: Any) -> None:
             table.beside[n] = np.sqrt(square)
 
 
-@compiled_lean
+@lean_part
 def _search_beside(count: int, near: int, table: Any, work: Any) -> int:
     """Find the best grid points of pixels near that of the one before, or the best of every second code."""
     scores, fit, owner = work.scores, work.fit, table.owner
@@ -373,7 +373,7 @@ def _search_beside(count: int, near: int, table: Any, work: Any) -> int:
     return near
 
 
-@compiled_lean
+@lean_part
 def _describe(begin: int, end: int, scores: Any, limits: Any, work: Any) -> None:
     """Hulls and moments of the likelihoods of grid points, by their scores."""
     points, fit, f32 = work.points, work.fit, np.float32
@@ -414,7 +414,7 @@ def _describe(begin: int, end: int, scores: Any, limits: Any, work: Any) -> None
         fit[_AWAY + p], fit[_SPREAD + p] = mean, second / total - mean * mean
 
 
-@compiled_lean
+@lean_part
 def _write(count: int, means: Any, table: Any, limits: Any, work: Any, out: Any) -> None:
     """Give the figures of pixels as `search_codes` does."""
     fit, freedom = work.fit, max(work.levels.shape[1] - 3, 1)
@@ -439,7 +439,7 @@ def _write(count: int, means: Any, table: Any, limits: Any, work: Any, out: Any)
             out[:, p] = np.nan
 
 
-@compiled_lean
+@lean_part
 def _search_batch(
     levels: Any, lower: Any, upper: Any, near: int, table: Any, limits: Any, work: Any, out: Any
 ) -> int:

@@ -25,7 +25,7 @@ from scipy.special import ndtr, stdtrit
 from fpplab.core.conventions import Axis, Floats, Map, Mask
 from fpplab.core.robust import robust_spread
 from fpplab.patterns.recording import Recording
-from fpplab.phase.chunks import compiled
+from fpplab.phase.chunks import compiled, compiled_part
 from fpplab.phase.limits import EDGES
 
 _ROWS = 256  # rows that one thread takes at a time (chosen)
@@ -209,7 +209,7 @@ def _tail(light: Map) -> Map:
     return np.stack([cv2.Sobel(wide, -1, *by, ksize=1, scale=0.5 / _BIN) for by in ((0, 1), (1, 0))])
 
 
-@compiled
+@compiled_part
 def _slope(coordinate: Any, v: int, u: int, down: int, across: int) -> float:
     """Slope over some px, of the flatter side where both differ, as beside a jump."""
     before = coordinate[v, u] - coordinate[v - down, u - across]
@@ -225,7 +225,7 @@ def _slope(coordinate: Any, v: int, u: int, down: int, across: int) -> float:
     return mean if abs(mean - lesser) < abs(lesser) else lesser
 
 
-@compiled
+@compiled_part
 def _step(light: Any, v: int, u: int, down: int, across: int) -> float:
     """Derivative of light: the harmonic mean of both differences, 0 at an extremum."""
     before = light[v, u] - light[v - down, u - across]
@@ -234,7 +234,7 @@ def _step(light: Any, v: int, u: int, down: int, across: int) -> float:
     return _f(2) * product / (before + behind) if product > _ZERO else _ZERO  # type: ignore[return-value]
 
 
-@compiled
+@compiled_part
 def _tail_at(tail: Any, k: int, v: int, u: int) -> float:
     """Gradient of the light of the tail, interpolated between bins."""
     y, x = (_f(v) + _f(0.5)) / _f(_BIN) - _f(0.5), (_f(u) + _f(0.5)) / _f(_BIN) - _f(0.5)
@@ -246,7 +246,7 @@ def _tail_at(tail: Any, k: int, v: int, u: int) -> float:
     return gradient
 
 
-@compiled
+@compiled_part
 def _brightening(light: Any, tail: Any, v: int, u: int) -> Any:
     """Relative gradient of the light along rows and columns: two of the core's, two of the tail's."""
     core_v, core_u = _step(light, v, u, 1, 0), _step(light, v, u, 0, 1)
@@ -254,7 +254,7 @@ def _brightening(light: Any, tail: Any, v: int, u: int) -> Any:
     return own * core_v, own * core_u, own * _tail_at(tail, 0, v, u), own * _tail_at(tail, 1, v, u)
 
 
-@compiled
+@compiled_part
 def _terms_at(coordinate: Any, brightening: Any, v: int, u: int) -> tuple[float, float]:
     """What core and tail of strength 1 add to the coordinate."""
     core_v, core_u, tail_v, tail_u = brightening

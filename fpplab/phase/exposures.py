@@ -26,7 +26,7 @@ from fpplab.core import buffers
 from fpplab.core.conventions import Floats, Image, full_scale, raw_per_grey
 from fpplab.core.errors import DataError
 from fpplab.patterns.recording import MergedLevels, Recording
-from fpplab.phase.chunks import compiled
+from fpplab.phase.chunks import compiled, compiled_part
 from fpplab.phase.limits import EXPOSURES, NOISE
 from fpplab.phase.noise import QUANTISATION, NoiseModel, fit_line, level_step
 
@@ -153,7 +153,7 @@ def _merge(levels: Any, camera: Any, groups: Any, merged: Any, scales: Any) -> N
                     merged[n, p] = np.uint16(max(np.rint(level), 0.0))
 
 
-@compiled
+@compiled_part
 def _factor(mean: Any, variance: Any, chosen: Any, camera: Any) -> float:
     """The scale at which a level of the camera has the variance of the means."""
     _, _, constant, per_level, _, offset, unit = camera
@@ -173,7 +173,7 @@ def _factor(mean: Any, variance: Any, chosen: Any, camera: Any) -> float:
     return float(factor)
 
 
-@compiled
+@compiled_part
 def _spread(mean: Any, variance: Any, chosen: Any, offset: float, amplitude: float) -> float:
     """Variance of the levels as it counts for a phase: those at crests and troughs say nothing of it."""
     total, counted = 0.0, 0.0

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from fpplab.phase.chunks import ROW, compiled
+from fpplab.phase.chunks import ROW, compiled_part
 from fpplab.phase.limits import NOISE, ORDERS
 from fpplab.phase.noise import QUANTISATION, repeated_rounding
 
@@ -33,7 +33,7 @@ _OWN = _u(9 * ROW)
 FUSION_ROWS = 10  # rows of the working buffer
 
 
-@compiled
+@compiled_part
 def find_repeated(offset: Any, repeated: Any, recipe: Any, pixel_count: int) -> None:
     """Give the part of the variance that repeats, because levels are rounded."""
     # offset (n,); repeated (n,)
@@ -46,7 +46,7 @@ def find_repeated(offset: Any, repeated: Any, recipe: Any, pixel_count: int) -> 
         repeated[i] = step_squared * _rounding(max(spread, _MIN_SPREAD))
 
 
-@compiled
+@compiled_part
 def weigh(
     modulation: Any,
     offset: Any,
@@ -81,7 +81,7 @@ def weigh(
         offset[i] = square * power * per_total
 
 
-@compiled
+@compiled_part
 def _start_fusion(sums: Any, positions: Any, finest: Any, share: Any, unit: Any, pixel_count: int) -> None:
     """Begin with the finest set, from whose position all others are counted."""
     per_unit = _ONE / unit
@@ -94,7 +94,7 @@ def _start_fusion(sums: Any, positions: Any, finest: Any, share: Any, unit: Any,
         sums[i + _FUSED_MOMENT] = sums[i + _ALL_MOMENT] = sums[i + _ALL_SQUARE] = _ZERO
 
 
-@compiled
+@compiled_part
 def _add_set(
     sums: Any, turns: Any, weights: Any, share: Any, stripes: Any, unit: Any, pixel_count: int
 ) -> None:
@@ -119,7 +119,7 @@ def _add_set(
         turns[i] = off
 
 
-@compiled
+@compiled_part
 def _finish_fusion(
     sums: Any, length: Any, pixel_count: int, coordinate: Any, sigma: Any, common: Any, chi2: Any
 ) -> None:
@@ -138,13 +138,13 @@ def _finish_fusion(
         chi2[i] += of_axis
 
 
-@compiled
+@compiled_part
 def _weight_at_unit_noise(recipe: Any, s: int) -> Any:
     """Weight of a set's position where u_I/B is one."""
     return recipe.set_stripes[s] * recipe.set_stripes[s] / recipe.phase_noise[s]
 
 
-@compiled
+@compiled_part
 def fuse_axis(
     axis: int,
     recipe: Any,

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel, kernel_part
 from fpplab.core.conventions import TWO_PI, Floats, Mask
 from fpplab.core.robust import robust_spread
 from fpplab.phase.limits import ISLANDS
@@ -190,13 +190,15 @@ def _flood(
     return count, wrong.tolist()
 
 
-@njit(cache=True)
+@kernel_part()
 def _difference(after: float, before: float) -> float:
     return (after - before + np.pi) % (2.0 * np.pi) - np.pi
 
 
-@njit(cache=True)
-def _flood_parts(phase, right, down, core, label, count):  # type: ignore[no-untyped-def]
+@kernel()
+def _flood_parts(
+    phase: Floats, right: Mask, down: Mask, core: Mask, label: _Labels, count: int
+) -> tuple[int, NDArray[np.int64]]:
     height, width = phase.shape
     queue = np.empty(core.size, np.int64)
     wrong = np.zeros(0, np.int64)
@@ -228,8 +230,8 @@ def _flood_parts(phase, right, down, core, label, count):  # type: ignore[no-unt
     return count, wrong
 
 
-@njit(cache=True)
-def _grow(phase, right, down, label):  # type: ignore[no-untyped-def]
+@kernel()
+def _grow(phase: Floats, right: Mask, down: Mask, label: _Labels) -> int:
     """Add to the islands their neighbours by sound links; how many there are."""
     height, width = phase.shape
     added = 0

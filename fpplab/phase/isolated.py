@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from fpplab.core.conventions import Map, Mask
-from fpplab.phase.chunks import compiled
+from fpplab.phase.chunks import compiled, compiled_part
 
 MIN_NEIGHBOURS = 5
 """Neighbours of one surface without which nothing is said. Chosen: at a straight edge a part has as many."""
@@ -37,7 +37,7 @@ def _mark(coordinate: Any, limit_px: Any, isolated: Any) -> None:
                     isolated[v, u] |= _agreeing(coordinate, v, u, other, limit_px) >= MIN_NEIGHBOURS
 
 
-@compiled
+@compiled_part
 def _agreeing(coordinate: Any, v: int, u: int, value: Any, limit_px: Any) -> int:
     """Count the pixels around one, and itself, that are near a value."""
     count = 0

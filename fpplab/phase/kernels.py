@@ -15,7 +15,7 @@ from numba import carray, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from fpplab.phase.chunks import CHUNK, HIGH, LOW, ROW, compiled
+from fpplab.phase.chunks import CHUNK, HIGH, LOW, ROW, compiled, compiled_part
 from fpplab.phase.fusion import FUSION_ROWS, find_repeated, fuse_axis, weigh
 from fpplab.phase.limits import ORDERS
 from fpplab.phase.saturation import fit_unsaturated
@@ -68,14 +68,14 @@ def _pointer(_typing: Any, address: Any) -> Any:
     return types.voidptr(types.uintp), generate
 
 
-@compiled
+@compiled_part
 def _pixels(address: Any, start: int, pixel_count: int, like: Any) -> Any:
     """Pixels of a frame from its `start`th on, as an array of the type of `like`."""
     at: Any = address + _u(start * like.itemsize)
     return carray(_pointer(at), (pixel_count,), like.dtype)  # type: ignore[call-arg]
 
 
-@compiled
+@compiled_part
 def _accumulate_four_frames(
     a: Any, b: Any, c: Any, d: Any, weights: Any, accumulators: Any, pixel_count: int
 ) -> None:
@@ -93,7 +93,7 @@ def _accumulate_four_frames(
         accumulators[i + _PEAK] = max(accumulators[i + _PEAK], x, y, z, w)
 
 
-@compiled
+@compiled_part
 def _accumulate_eight_frames(
     a: Any,
     b: Any,
@@ -140,7 +140,7 @@ def _arctangent_in_turns(s: Any, c: Any) -> Any:
     return _ONE - p if s < _ZERO else p
 
 
-@compiled
+@compiled_part
 def _demodulate(
     accumulators: Any,
     turns: Any,
@@ -177,7 +177,7 @@ def _demodulate(
         accumulators[i + _HIGHEST] = max(accumulators[i + _HIGHEST], accumulators[i + _PEAK])
 
 
-@compiled
+@compiled_part
 def _only_set_in(coefficients: Any) -> int:
     """The set whose phase is that of a wavelength by itself; -1 where several are combined."""
     alone = -1
@@ -189,7 +189,7 @@ def _only_set_in(coefficients: Any) -> int:
     return alone
 
 
-@compiled
+@compiled_part
 def _combined_phase(rows: Any, turns: Any, coefficients: Any, pixel_count: int) -> None:
     """Combine measured phases into the wrapped phase of a synthetic wavelength, in turns."""
     alone = _only_set_in(coefficients)
@@ -212,7 +212,7 @@ def _combined_phase(rows: Any, turns: Any, coefficients: Any, pixel_count: int) 
         rows[i + _PHASE] -= np.floor(rows[i + _PHASE])
 
 
-@compiled
+@compiled_part
 def _start_hypotheses(rows: Any, pixel_count: int, stripes: Any) -> None:
     """Start both hypotheses: the period of the base nearest to the middle, and the next nearest one."""
     period = _ONE / stripes
@@ -225,7 +225,7 @@ def _start_hypotheses(rows: Any, pixel_count: int, stripes: Any) -> None:
         rows[i + _COST] = rows[i + _WORST] = rows[i + _OTHER_COST] = rows[i + _OTHER_WORST] = _ZERO
 
 
-@compiled
+@compiled_part
 def _refine_hypotheses(rows: Any, pixel_count: int, stripes: Any, trust: Any) -> None:
     """Take both hypotheses to the next finer wavelength; disagreement is counted in its periods."""
     period = _ONE / stripes
@@ -246,7 +246,7 @@ def _refine_hypotheses(rows: Any, pixel_count: int, stripes: Any, trust: Any) ->
         rows[i + _OTHER_WORST] = max(rows[i + _OTHER_WORST], abs(d))
 
 
-@compiled
+@compiled_part
 def _count_saturated(accumulators: Any, pixel_count: int, full_scale: Any) -> Any:
     """How many pixels have saturated samples; a sum, which unlike the maximum becomes vector instructions."""
     count = _ZERO
@@ -255,7 +255,7 @@ def _count_saturated(accumulators: Any, pixel_count: int, full_scale: Any) -> An
     return count
 
 
-@compiled
+@compiled_part
 def _refit_saturated(
     accumulators: Any, at: int, pixel_count: int, s: int, like: Any, recipe: Any, loss: Any, bent: Any
 ) -> None:
@@ -283,7 +283,7 @@ def _refit_saturated(
             bent[i] = _f(lamp * fitted[4] + 0.5 * recipe.images[s] * fitted[5] * fitted[5])
 
 
-@compiled
+@compiled_part
 def _choose_hypothesis(
     rows: Any, weights: Any, good: Any, pixel_count: int, length: Any, stripes: Any, recipe: Any
 ) -> None:
@@ -312,7 +312,7 @@ def _choose_hypothesis(
         rows[i] = b if cost_b < cost_a else a
 
 
-@compiled
+@compiled_part
 def _unwrap_axis(
     axis: int, recipe: Any, rows: Any, turns: Any, weights: Any, good: Any, pixel_count: int
 ) -> None:
@@ -328,7 +328,7 @@ def _unwrap_axis(
     )
 
 
-@compiled
+@compiled_part
 def _fill_position_limits(bounds: Any, at: int, pixel_count: int, default: Any, values: Any) -> None:
     """One end of the interval of possible positions of a chunk; `default` where none is known."""
     if len(bounds) > 0:
@@ -337,14 +337,14 @@ def _fill_position_limits(bounds: Any, at: int, pixel_count: int, default: Any, 
         values[:pixel_count] = default
 
 
-@compiled
+@compiled_part
 def _copy(values: Any, out: Any, pixel_count: int) -> None:
     """Copy a chunk; assigning a slice to a slice would take seconds more to compile, at each place."""
     for j in range(pixel_count):
         out[_u(j)] = values[_u(j)]
 
 
-@compiled
+@compiled_part
 def _reduced_root_of_chi2(values: Any, freedom: int, pixel_count: int) -> None:
     """χ² to the root of its share per degree of freedom."""
     share = _f(1.0 / max(freedom, 1))
@@ -353,7 +353,7 @@ def _reduced_root_of_chi2(values: Any, freedom: int, pixel_count: int) -> None:
         values[i] = np.sqrt(values[i] * share)
 
 
-@compiled
+@compiled_part
 def _erase_invalid(values: Any, good: Any, pixel_count: int) -> None:
     """NaN where a pixel is not measured."""
     for j in range(pixel_count):
@@ -361,7 +361,7 @@ def _erase_invalid(values: Any, good: Any, pixel_count: int) -> None:
         values[i] = values[i] if good[i] > _ZERO else _f(np.nan)
 
 
-@compiled
+@compiled_part
 def _add_doubtful(known: Any, good: Any, cause: Any, pixel_count: int) -> None:
     """Where coordinates are known: where they are measured, and where the order alone is in doubt."""
     for j in range(pixel_count):
@@ -369,7 +369,7 @@ def _add_doubtful(known: Any, good: Any, cause: Any, pixel_count: int) -> None:
         known[i] = good[i] if cause[i] == 0 else _ONE
 
 
-@compiled
+@compiled_part
 def _add_frames(accumulators: Any, at: int, pixel_count: int, s: int, like: Any, recipe: Any) -> None:
     """Add all frames of a set to the sums of a chunk: eight at a time, and four that are left."""
     k, last = recipe.first[s], recipe.first[s + 1]

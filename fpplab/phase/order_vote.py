@@ -1,9 +1,9 @@
 """Repair of fringe orders: neighbours vote on the orders of pixels whose sets disagree."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Floats, Map
 from fpplab.phase.limits import ORDERS
 
@@ -25,7 +25,7 @@ def vote_orders(
     return backed
 
 
-@njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def _vote_once(
     coordinate: Map,
     pixels: NDArray[np.int64],

@@ -8,12 +8,12 @@ Both are computed, for the standard uncertainties of the pixel.
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from fpplab.core.compiled import kernel_part
 from fpplab.phase.limits import NOISE
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def fit_unsaturated(levels: Any, cosine: Any, sine: Any, full: Any, shares: Any, fitted: Any) -> bool:
     # levels (N,); cosine, sine (N,); shares (K,); fitted (6,) rad
     count = total = 0

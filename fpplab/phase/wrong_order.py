@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.phase.chunks import HIGH, LOW, compiled
+from fpplab.phase.chunks import HIGH, LOW, compiled_part
 from fpplab.phase.fusion import CHI2, DOUBT, FINEST, LEAST, POSITION, fuse_axis
 from fpplab.phase.limits import ORDERS
 
@@ -26,7 +26,7 @@ _f, _u = np.float32, np.uintp
 _HALF, _ONE = _f(0.5), _f(1)
 
 
-@compiled
+@compiled_part
 def settle_orders(
     axis: int,
     recipe: Any,
@@ -94,7 +94,7 @@ def settle_orders(
             cause[i] = 1 + recipe.causes[which]
 
 
-@compiled
+@compiled_part
 def _compare_shifts(
     axis: int,
     recipe: Any,
@@ -128,7 +128,7 @@ def _compare_shifts(
     return odds, likeliest, direction, which
 
 
-@compiled
+@compiled_part
 def _shift_order(
     axis: int, recipe: Any, unwrapping: Any, offsets: Any, pixel: int, sign: float, shift_index: int
 ) -> None:
@@ -139,7 +139,7 @@ def _shift_order(
             offsets[s, pixel] = (turn - math.floor(turn + 0.5)) / recipe.set_stripes[s]
 
 
-@compiled
+@compiled_part
 def _fuse_pixel_again(
     axis: int,
     recipe: Any,
@@ -176,7 +176,7 @@ def _fuse_pixel_again(
     )
 
 
-@compiled
+@compiled_part
 def _mark_and_count_uncleared(
     unwrapping: Any,
     fusion: Any,
@@ -204,7 +204,7 @@ def _mark_and_count_uncleared(
     return count
 
 
-@compiled
+@compiled_part
 def _chi2_of_shift(
     axis: int, recipe: Any, offsets: Any, weights: Any, shares: Any, pixel: int, sign: float, shift_index: int
 ) -> tuple[float, float, float]:
@@ -226,7 +226,7 @@ def _chi2_of_shift(
     return square - moment * moment / total, shift + moment / total, total
 
 
-@compiled
+@compiled_part
 def _share_within(mean: float, total: float, low: float, high: float) -> float:
     """Share of a Gaussian distribution of inverse variance `total` that lies between two ends."""
     per_sigma = math.sqrt(0.5 * total)

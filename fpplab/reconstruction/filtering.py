@@ -25,6 +25,7 @@ from fpplab.clouds.pixelgrid import PixelColumnsRows, PixelGrid
 from fpplab.clouds.selection import places_of
 from fpplab.clouds.surfaces import is_continuous
 from fpplab.core import buffers
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
@@ -114,7 +115,7 @@ def _joined(a: Map, b: Map, w: Map, noise: Map, v: int, u: int, y: int, x: int) 
     )
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _link(a: Map, b: Map, w: Map, noise: Map, across: Mask, down: Mask) -> None:
     height, width = a.shape
     for v in prange(height):
@@ -125,7 +126,7 @@ def _link(a: Map, b: Map, w: Map, noise: Map, across: Mask, down: Mask) -> None:
                 down[v, u] = _joined(a, b, w, noise, v, u, v + 1, u)
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _half_lit(
     a: Map,
     b: Map,
@@ -164,7 +165,7 @@ def _half_lit(
                 removed[v, u] = Rule.HALF_LIT.value
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _mark_flying_pixels(a: Map, b: Map, w: Map, noise: Map, removed: Removed) -> None:
     height, width = w.shape
     for v in prange(height):
@@ -188,7 +189,7 @@ def _mark_flying_pixels(a: Map, b: Map, w: Map, noise: Map, removed: Removed) ->
                 removed[v, u] = Rule.FLYING.value
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _contradictory(disagreement: Map, greatest: np.float32, w: Map, removed: Removed) -> None:
     for v in prange(len(w)):
         for u in range(w.shape[1]):
@@ -196,7 +197,7 @@ def _contradictory(disagreement: Map, greatest: np.float32, w: Map, removed: Rem
                 removed[v, u], w[v, u] = Rule.CONTRADICTION.value, np.nan
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _erase(w: Map, removed: Removed) -> None:
     for v in prange(len(w)):
         for u in range(w.shape[1]):
@@ -204,7 +205,7 @@ def _erase(w: Map, removed: Removed) -> None:
                 w[v, u] = np.nan
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _keep(index: PixelColumnsRows, w: Map, kept: Mask) -> None:
     for v in prange(len(w)):
         for u in range(w.shape[1]):
@@ -212,7 +213,7 @@ def _keep(index: PixelColumnsRows, w: Map, kept: Mask) -> None:
                 kept[index[v, u]] = not np.isnan(w[v, u])
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _number(index: PixelColumnsRows, w: Map, places: NDArray[np.int32]) -> None:
     for v in prange(len(w)):
         for u in range(w.shape[1]):

@@ -9,6 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from fpplab.calibration.displacements import AnyPoints
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Floats
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 
@@ -69,7 +70,7 @@ def _cubic_weights(nodes: int) -> Floats:
     return weights
 
 
-@njit(parallel=True, nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(parallel=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _interpolate(points: AnyPoints, lower: Floats, per_step: Floats, values: Singles, out: Singles) -> None:
     nodes_x, nodes_y, nodes_z, count = values.shape
     flat = values.reshape(-1)  # with one index instead of four
@@ -97,7 +98,7 @@ def _bilinear(flat: Singles, at: int, per_y: int, per_z: int, y: float, z: float
     return float(near + y * (far - near))
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def are_positive(values: Singles) -> bool:
     # values (K, N)
     others = 0

@@ -1,9 +1,10 @@
 """Connected regions of pixels that are too small: runs in rows, joined in bands on all processors."""
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel, kernel_part
 from fpplab.core.conventions import Map, Mask
 
 _BAND = 64  # rows that one thread joins in sequence (chosen)
@@ -28,7 +29,7 @@ def mark_small_regions(
     _mark(starts, runs, parent, _region_sizes(runs, parent), min_pixels, removed, mark)
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _find_runs(w: Map, across: Mask, counting: bool, starts: _RowStarts, runs: _Numbers) -> None:
     for v in prange(len(w)):
         at = -1 if counting else starts[v] - 1
@@ -47,7 +48,7 @@ def _find_runs(w: Map, across: Mask, counting: bool, starts: _RowStarts, runs: _
             starts[v] = at + 1
 
 
-@njit(cache=True)
+@kernel_part()
 def _root(parent: _Numbers, i: int) -> int:
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -55,7 +56,7 @@ def _root(parent: _Numbers, i: int) -> int:
     return i
 
 
-@njit(cache=True)
+@kernel()
 def _join_row(w: Map, down: Mask, starts: _RowStarts, runs: _Numbers, parent: _Numbers, row: int) -> None:
     above, end = starts[row - 1], starts[row]
     for run in range(starts[row], starts[row + 1]):
@@ -70,7 +71,7 @@ def _join_row(w: Map, down: Mask, starts: _RowStarts, runs: _Numbers, parent: _N
                 parent[max(first, second)] = min(first, second)
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _join_bands(w: Map, down: Mask, starts: _RowStarts, runs: _Numbers, parent: _Numbers) -> None:
     """Join the runs within each band: bands share no runs, and so threads share no parents."""
     for band in prange((len(w) + _BAND - 1) // _BAND):
@@ -78,7 +79,7 @@ def _join_bands(w: Map, down: Mask, starts: _RowStarts, runs: _Numbers, parent: 
             _join_row(w, down, starts, runs, parent, row)
 
 
-@njit(cache=True)
+@kernel()
 def _region_sizes(runs: _Numbers, parent: _Numbers) -> _Numbers:
     """How many pixels the region of each run has; every run then has its root as parent."""
     sizes = np.zeros(len(runs), np.int32)
@@ -88,7 +89,7 @@ def _region_sizes(runs: _Numbers, parent: _Numbers) -> _Numbers:
     return sizes
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _mark(
     starts: _RowStarts,
     runs: _Numbers,

@@ -16,6 +16,7 @@ from fpplab.calibration.displacements import CoordinateNoise
 from fpplab.calibration.model import Calibration
 from fpplab.clouds.selection import select_rows
 from fpplab.core import buffers
+from fpplab.core.compiled import kernel, kernel_part
 from fpplab.core.conventions import Axis, Floats, Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import INVERSION_STEPS, PIXEL_TOLERANCE, Pinhole, distort
@@ -179,7 +180,7 @@ def forget_cameras() -> None:
 _distort = njit(inline="always")(distort)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _undistort_pixel(u: float, v: float, device: Numbers, reach: float) -> tuple[float, float]:
     fx, fy, lens = device[0], device[1], device[4:]
     target_x, target_y = (u - device[2]) / fx, (v - device[3]) / fy
@@ -201,14 +202,14 @@ def _undistort_pixel(u: float, v: float, device: Numbers, reach: float) -> tuple
     return np.nan, np.nan
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _invert(camera: Numbers, reach: float, slopes: Floats) -> None:
     for v in prange(slopes.shape[1]):
         for u in range(slopes.shape[2]):
             slopes[0, v, u], slopes[1, v, u] = _undistort_pixel(u, v, camera, reach)
 
 
-@njit(cache=True)
+@kernel()
 def any_known(values: Map) -> bool:
     # values (height, width)
     if (
@@ -222,7 +223,7 @@ def any_known(values: Map) -> bool:
     return False
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _are_solved(points: Map) -> Mask:
     solved = np.empty(len(points), np.bool_)
     for i in prange(len(points)):
@@ -236,7 +237,7 @@ def _is_coded(u: float, v: float) -> bool:
     return bool(abs(u) < LIMITS.max_coordinate_px and abs(v) < LIMITS.max_coordinate_px)
 
 
-@njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _coded_pixels_by_row(u: Map, v: Map) -> NDArray[np.int64]:
     counts = np.zeros(len(u), np.int64)
     for row in prange(len(u)):
@@ -299,7 +300,7 @@ def _epipolar_distance_px(
 
 
 # Contracting to multiply-adds changes the last bits only, and NaN keeps its meaning.
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel_part(error_model="numpy", fastmath={"contract"})
 def _solve_pixel(
     ray: Ray,
     u: float,
@@ -332,7 +333,7 @@ def _solve_pixel(
     return np.nan, np.nan, np.nan, shift[0], shift[1]
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@kernel_part(error_model="numpy", fastmath={"contract"})
 def _solve_stretch(
     across: Floats,
     down: Floats,
@@ -373,7 +374,7 @@ def _count_coded(u: Map, v: Map) -> int:
     return count
 
 
-@njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(parallel=True, error_model="numpy", fastmath={"contract"})
 def _fill_solutions(
     slopes: Floats, coded: CodedMaps, projector: ProjectorModel, starts: NDArray[np.int64], out: Solutions
 ) -> None:
@@ -430,7 +431,7 @@ def _fill_solutions(
                 ends[row - first] = at
 
 
-@njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
+@kernel(parallel=True, error_model="numpy", fastmath={"contract"})
 def _fill_predictions(
     slopes: Floats, known: Map, gives_v: bool, projector: ProjectorModel, other: Map
 ) -> None:

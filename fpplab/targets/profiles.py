@@ -11,6 +11,7 @@ from enum import IntEnum
 import numpy as np
 from numba import njit
 
+from fpplab.core.compiled import kernel, kernel_part
 from fpplab.core.conventions import Floats
 from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 
@@ -62,14 +63,14 @@ def _disc_start(frame: Floats, radius_mm: float) -> Floats:
     return np.array([0.0, 0.0, form[0, 0], form[0, 1], form[1, 1], 1.0])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _brightness(kind: int, theta: Floats, x: Floats, y: Floats, values: Floats) -> None:
     slopes = np.empty(len(theta))
     for i in range(len(x)):
         values[i], _ = profile(kind, theta, x[i], y[i], slopes)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def profile(kind: int, theta: Floats, x: float, y: float, slopes: Floats) -> tuple[float, bool]:
     """Compute a model's brightness at one pixel, with derivatives. Compiled."""
     # theta (5,)
@@ -78,7 +79,7 @@ def profile(kind: int, theta: Floats, x: float, y: float, slopes: Floats) -> tup
     return _edges(theta, x - theta[0], y - theta[1], slopes)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _edges(theta: Floats, u: float, v: float, slopes: Floats) -> tuple[float, bool]:
     blur = theta[4]
     cosines, sines = (math.cos(theta[2]), math.cos(theta[3])), (math.sin(theta[2]), math.sin(theta[3]))
@@ -96,7 +97,7 @@ def _edges(theta: Floats, u: float, v: float, slopes: Floats) -> tuple[float, bo
     return values[0] * values[1], varies
 
 
-@njit(cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _disc(theta: Floats, u: float, v: float, slopes: Floats) -> tuple[float, bool]:
     a, b, c, blur = theta[2], theta[3], theta[4], theta[5]
     along_u, along_v = a * u + b * v, b * u + c * v

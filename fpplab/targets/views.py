@@ -6,9 +6,9 @@ from typing import Any, Protocol
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 
@@ -72,7 +72,7 @@ def window_around_point(
     return columns - pixel[0], rows - pixel[1], level[rows, columns]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def window_pixels(
     image: NDArray[Any], pixel: Floats, inverse: Floats, half_mm: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

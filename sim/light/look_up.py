@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel, kernel_part
 from sim.mirror_spread import STEPS, TAPS
 
 WINDOW = TAPS + 2  # texels along a side of the window in which a pixel's weights are added up
@@ -87,7 +88,7 @@ def _add_square(
     _add_row(window, start + np.uint64(4 * WINDOW), weight * down[4], across)
 
 
-@numba.njit(fastmath=_FAST, error_model="numpy")
+@kernel_part(fastmath=_FAST, error_model="numpy")
 def _empty(
     windows: NDArray[np.float32],
     sides: int,
@@ -108,7 +109,7 @@ def _empty(
         windows[side, low * WINDOW : high * WINDOW] = 0
 
 
-@numba.njit(fastmath=_FAST, error_model="numpy")
+@kernel_part(fastmath=_FAST, error_model="numpy")
 def _add_products(
     window: NDArray[np.float32],
     low: int,
@@ -141,7 +142,7 @@ def _add_products(
             total[n] += near + w4 * texels[t4 + n] + w5 * texels[t5 + n] + w6 * texels[t6 + n]
 
 
-@numba.njit(parallel=True, cache=True, fastmath=_FAST, error_model="numpy")
+@kernel(parallel=True, fastmath=_FAST, error_model="numpy")
 def interpolated_light(
     textures: NDArray[np.float32],
     weights: NDArray[np.float32],
@@ -189,7 +190,7 @@ def interpolated_light(
                 out[n, p] = total[n] * share
 
 
-@numba.njit(parallel=True, cache=True, fastmath=_FAST, error_model="numpy")
+@kernel(parallel=True, fastmath=_FAST, error_model="numpy")
 def light_with_slopes(
     textures: NDArray[np.float32],
     weights: NDArray[np.float32],
@@ -251,7 +252,7 @@ def light_with_slopes(
                     out[n, p, c] = total[c, n] * share
 
 
-@numba.njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def sharp_light(
     textures: NDArray[np.float32],
     samples: NDArray[np.float32],

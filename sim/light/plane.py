@@ -20,6 +20,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
 from sim.light.blurred_pictures import BlurredPictureCache, BlurredPictures, unblurred_picture
@@ -197,7 +198,7 @@ def _transform(matrix: Floats) -> RigidTransform:
     return RigidTransform(matrix[:3, :3], matrix[:3, 3])
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _trace(
     columns: NDArray[np.intp],
     rows: NDArray[np.intp],

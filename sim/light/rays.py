@@ -3,6 +3,7 @@
 import numba
 import numpy as np
 
+from fpplab.core.compiled import kernel_part
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import distort
 
@@ -35,12 +36,12 @@ def slopes_at(u: float, v: float, matrix: Floats, lens: Floats, reach: float) ->
     return undistort_ray((u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1], lens, reach)
 
 
-@numba.njit(cache=True)
+@kernel_part()
 def _rotated(x: np.uint32, bits: int) -> np.uint32:
     return np.uint32((x << np.uint32(bits)) | (x >> np.uint32(32 - bits)))
 
 
-@numba.njit(cache=True)
+@kernel_part()
 def cell_noise(column: int, row: int) -> float:
     """Reproduce `cellnoise` of Open Shading Language at whole numbers."""
     a = b = c = np.uint32((0xDEADBEEF + (2 << 2) + 13) & 0xFFFFFFFF)

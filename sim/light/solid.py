@@ -18,6 +18,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from fpplab.comparison.visibility import RayTracedShape
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole
 from sim.light.rays import lens_turn, on_lens, slopes_at
@@ -137,7 +138,7 @@ class Bodies:
         survey[places, ALBEDO] = reflectance
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _interpolate_picture(
     points: Floats, corners: Floats, places: Floats, picture: NDArray[np.uint8], grey: Irradiance
 ) -> None:
@@ -164,7 +165,7 @@ def _interpolate_picture(
         grey[i] = upper * (1 - down) + lower * down
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _rays(
     columns: NDArray[np.intp],
     rows: NDArray[np.intp],
@@ -192,7 +193,7 @@ def _rays(
         directions[i, 0], directions[i, 1], directions[i, 2] = dx / length, dy / length, 1.0 / length
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _meet(
     starts: Floats,
     directions: Floats,

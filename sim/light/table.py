@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel, kernel_part
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import RigidTransform, distort
 from sim.light.look_up import WINDOW, interpolated_light, light_with_slopes, sharp_light
@@ -115,7 +116,7 @@ class LightTable:
 _distort = numba.njit(inline="always")(distort)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _locate_in_texture(
     rendered: Irradiance,
     T_projector_camera: Floats,
@@ -143,7 +144,7 @@ def _locate_in_texture(
         out[i, 3] = rendered[i, DIRECT]
 
 
-@numba.njit(cache=True)
+@kernel_part()
 def circle_level(depth: float, circle_scale: float, inverse_focus: float, squares: Floats) -> float:
     """Interpolate a depth's circle of confusion among those with textures, by its square."""
     # squares (L,)
@@ -158,7 +159,7 @@ def circle_level(depth: float, circle_scale: float, inverse_focus: float, square
     return float(level + min(max(share, 0.0), 1.0))
 
 
-@numba.njit(cache=True)
+@kernel()
 def _sample_extent(samples: Irradiance) -> tuple[Floats, Floats]:
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for sample in samples:
@@ -210,7 +211,7 @@ class MotionTable:
         return pictures
 
 
-@numba.njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _displace(
     terms: Irradiance,
     motion: Irradiance,

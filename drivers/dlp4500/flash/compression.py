@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from fpplab.core.compiled import kernel
+
 ImageBytes = NDArray[np.uint8]
 
 STORED_ROWS = 4  # rows that the four-line compression stores (TI's client)
@@ -63,7 +65,7 @@ def encode_run_lengths(image: ImageBytes) -> bytes:
     return stored[: _compress_into(np.ascontiguousarray(image), stored)].tobytes()
 
 
-@njit(cache=True)
+@kernel()
 def _compress_into(image: ImageBytes, stored: ImageBytes) -> int:
     """Fill `stored`, which is all zeros, and return how many bytes of it are used."""
     at = 0
