@@ -10,7 +10,7 @@ from fpplab.core.geometry import distort
 distorted = numba.njit(inline="always")(distort)  # `distort`, to be compiled into a caller's loop
 
 
-@numba.njit(cache=True, inline="always")
+@kernel_part(error_model="numpy")
 def undistort_ray(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float, float]:
     """Undistort a ray by Newton's method; a step beyond the distortion model's reach is halved."""
     # lens (8,)
@@ -30,7 +30,7 @@ def undistort_ray(xd: float, yd: float, lens: Floats, reach: float) -> tuple[flo
     return x, y
 
 
-@numba.njit(cache=True, inline="always")
+@kernel_part(error_model="numpy")
 def slopes_at(u: float, v: float, matrix: Floats, lens: Floats, reach: float) -> tuple[float, float]:
     # matrix (3, 3)
     return undistort_ray((u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1], lens, reach)
