@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 
 from fpplab.calibration.model import CalibrationFile
 from fpplab.core import config
-from fpplab.core.conventions import Floats, Image, PixelIndices
+from fpplab.core.conventions import Floats, Image, Map, PixelIndices
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import write_text
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
+from fpplab.patterns.mosaic import Bayer
 from fpplab.targets import Target
 from sim.appearance import Appearance
 from sim.build import SceneState
@@ -36,10 +37,11 @@ from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, ShownPattern
 from sim.light.point_errors import error_draw
 from sim.parameters import TwinParameters, parameters_of, world_of
-from sim.sensor import SensorModel
+from sim.sensor import SensorModel, colour_shares
 from sim.sheet import board_relative_to, save_sheet, save_surroundings
 from sim.worker import Blender
 from sim.world import BoardItem, World
+from sim.world.camera import ColourFilter
 
 ExpectedLevels = NDArray[np.float32]
 """Raw levels without noise and without rounding, (n, h, w), clipped to 0 … full scale."""
@@ -145,6 +147,16 @@ class Twin:
         # The function may raise to end the work.
         return replace(self, before_images=before_images)
 
+    def with_filter(self, bayer: Bayer | None, white: tuple[float, float, float] | None) -> Twin:
+        """Make a twin whose camera has a Bayer filter that sees white light in these shares, or none."""
+        seen = None
+        if bayer is not None and white is not None:
+            red, green, blue = ((share / max(white),) * 3 for share in white)
+            seen = ColourFilter(pattern=bayer, red=red, green=green, blue=blue)
+        camera = self.nominal.camera.model_copy(update={"bayer": seen})
+        nominal = self.nominal.model_copy(update={"camera": camera})
+        return replace(self, nominal=nominal, world=world_of(nominal, self.board, self.parameters))
+
     def with_appearance(self, appearance: Appearance) -> Twin:
         """Make a twin whose sheet and surroundings look as a bench's do; `save` writes them too."""
         files = TemporaryFolder()
@@ -178,6 +190,9 @@ class Twin:
         if light is None:
             return None
         irradiance, slopes = light.at(tuple(patterns), pixels)
+        if (shares := self._filter(self.board)) is not None:
+            irradiance = irradiance * shares[pixels]
+            slopes *= shares[pixels][:, None]
         scale = SensorModel.of(self.world).grey_scale(settings)
         levels = scale.levels(irradiance)
         slopes *= np.float32(scale.slope) * (levels < scale.saturated)[..., None]
@@ -216,13 +231,13 @@ class Twin:
         shown, sensor = tuple(patterns), SensorModel.of(self.world)
         still = SceneState(item, held=pose, error_draw=error_draw(pose))
         counters = self.frame_counter.take(len(shown))
-        changes = Fluctuation.of(self.world)
+        changes, shares = Fluctuation.of(self.world), self._filter(item)
         ambient = None if changes is None else self._light.irradiance(still, None)
 
         def exposed(picture: PatternLevels, number: int) -> Image:
             if changes is not None and ambient is not None:
                 picture = changes.applied(picture, ambient, np.arange(len(ambient)), number)
-            return sensor.expose(picture, settings, number)
+            return sensor.expose(picture if shares is None else picture * shares, settings, number)
 
         # Pictures are made one by one while others are exposed: all at once would be of some 200 MB.
         pictures = self._levels_of_vibrating_frames(still, pose, shown, counters)
@@ -291,8 +306,10 @@ class Twin:
         shown, sensor = tuple(patterns), SensorModel.of(self.world)
         width, height = self.world.camera.size
         levels = np.empty((len(shown), height, width), np.float32)
+        shares = self._filter(setup.item)
         for n, level in enumerate(levels):
-            level[:] = sensor.expected(self._irradiance(setup, shown, n), settings)
+            irradiance = self._irradiance(setup, shown, n)
+            level[:] = sensor.expected(irradiance if shares is None else irradiance * shares, settings)
         return levels
 
     def _irradiance(self, setup: SceneState, patterns: tuple[Pattern, ...], n: int) -> PatternLevels:
@@ -302,7 +319,14 @@ class Twin:
         self, setup: SceneState, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
     ) -> ExpectedLevels:
         irradiance = self._light.irradiance_at(setup, tuple(patterns), pixels)
+        if (shares := self._filter(setup.item)) is not None:
+            irradiance = irradiance * shares[pixels]
         return SensorModel.of(self.world).expected(irradiance, settings)
+
+    def _filter(self, item: str) -> Map | None:
+        """Share of the light that each pixel of a Bayer camera gets; None without a filter."""
+        # returns (height, width)
+        return None if self.world.camera.bayer is None else colour_shares(self.world, item)
 
     def _setup(self, pose: int) -> SceneState:
         return SceneState(self.board, held=self.parameters.poses[pose])

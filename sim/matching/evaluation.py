@@ -9,13 +9,13 @@ import numpy as np
 
 from fpplab.characterisation import Characterisation, Observation, characterise, finest_periods, observe
 from fpplab.characterisation.pose_effects import FUNCTIONS
-from fpplab.core.conventions import Image
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from sim.effects.step import ReprojectionErrors
 from sim.matching.loss import Loss, Similarity, Weights, board_mask, ssim
+from sim.matching.passes import twin_recording
 from sim.matching.reference import LevelStack, Reference
 from sim.twin import Twin
 
@@ -77,9 +77,9 @@ def evaluate(
     with ThreadPoolExecutor(1) as pool:  # observes a pose while the next one's frames are simulated
         for done, pose in enumerate(chosen, 1):
             if pose in noisy:  # first, since its light has what the images need
-                frames = twin.frames(pose, reference.patterns, reference.settings)
+                recording = _twin_recording(reference, twin, pose)
                 wait(observed.values())  # so that no more than two poses' frames are held
-                observed[pose] = pool.submit(_observe_board, reference, pose, frames)
+                observed[pose] = pool.submit(_observe_board, reference, pose, recording)
             pairs += pose_similarity(reference, twin, pose)
             progress(done / len(chosen))
     similarity = Similarity(*(np.array(future) for future in zip(*pairs, strict=True)))
@@ -97,7 +97,7 @@ def characterise_twin(reference: Reference, twin: Twin, poses: Sequence[int]) ->
     """Characterise the twin by its own frames of some poses."""
 
     def observed(pose: int) -> Observation:
-        return _observe_board(reference, pose, twin.frames(pose, reference.patterns, reference.settings))
+        return _observe_board(reference, pose, _twin_recording(reference, twin, pose))
 
     results = ((pose, partial(observed, pose)) for pose in poses)
     return _characterise_observed(reference, results, validate=True)
@@ -124,15 +124,23 @@ def pose_similarity(reference: Reference, twin: Twin, pose: int) -> list[tuple[f
     def compare(real: LevelStack, own: LevelStack) -> tuple[float, float]:
         return ssim(real, own, reference.full_scale, board)
 
+    both = (
+        reference.evened(levels, now.black_level) for levels in (reference.frames(pose, images), expected)
+    )
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(compare, reference.frames(pose, images), expected))
+        return list(pool.map(compare, *both))
 
 
-def _observe_board(reference: Reference, pose: int, frames: Sequence[Image]) -> Observation:
+def _twin_recording(reference: Reference, twin: Twin, pose: int) -> Recording:
+    session = reference.sessions[pose]
+    name = f"the twin's {session.path.name}"
+    return twin_recording(session, reference.patterns, partial(twin.frames, pose), name)
+
+
+def _observe_board(reference: Reference, pose: int, recording: Recording) -> Observation:
     """Observe the board in the twin's frames of a pose. Raises `CalibrationError` where it is not found."""
     plan, (size, _) = reference.plan, reference.projector
     name = reference.sessions[pose].path.name
-    recording = Recording(frames, plan, size, reference.settings.bits, f"the twin's {name}")
     decoded, image = decode(recording), recording.mean_image()
     return observe(name, image, decoded, reference.target, finest_periods(plan, size))
 

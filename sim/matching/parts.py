@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fpplab.calibration.model import Calibration
+from fpplab.core.errors import ConfigError
 from fpplab.core.progress import Progress, Say, ignore, no_progress
 from fpplab.devices.rig import Rig
 from fpplab.sessions.session import Session
@@ -52,6 +53,13 @@ def match_parts(
     # What bench and twin differed by on the board and in earlier scans stays what it was, and so do the
     # settings of the rig's camera.
     check_scans(twin, scans)
+    own = twin.world.camera.bayer and twin.world.camera.bayer.pattern
+    for session in scans.values():
+        if session.bayer != own:
+            raise ConfigError(
+                f"{session.path}: the bench's camera has the filter {session.bayer or 'none'}, the twin's "
+                f"{own or 'none'}; name the twin that was matched to this bench"
+            )
     tell("comparing the scans with the parts' shapes")
     fitted = fit_scans(twin, scans, twin.parameters.calibration, refusals)
     progress(0.3)

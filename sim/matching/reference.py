@@ -11,14 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.characterisation import Characterisation
-from fpplab.core.conventions import Image, Lattice, full_scale
-from fpplab.core.errors import ConfigError
+from fpplab.core.conventions import Image, Lattice, Map, axis_length, full_scale
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.mosaic import colour_factors
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 from fpplab.patterns.response import Response
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
+from sim.matching.passes import ComparedPass
+from sim.twin import Twin
 
 LevelStack = NDArray[np.float32]  # raw levels of frames, (n, h, w)
 
@@ -54,9 +57,6 @@ class Reference:
         response: Response | None = None,
     ) -> Reference:
         """Choose the sessions whose poses the characterisation used."""
-        sessions[0].plan.refuse_exposures("matching")
-        if sessions[0].bayer:
-            raise ConfigError(f"{sessions[0].path}: matching takes a camera without a Bayer filter")
         by_name = {session.path.name: session for session in sessions}
         used = tuple(by_name[o.name] for o in characterisation.observations)
         return cls(used, target, characterisation, response)
@@ -65,9 +65,35 @@ class Reference:
     def plan(self) -> Plan:
         return self.sessions[0].plan
 
+    @cached_property
+    def compared_pass(self) -> ComparedPass:
+        return ComparedPass.of(self.sessions[0])
+
     @property
     def settings(self) -> CameraSettings:
-        return self.sessions[0].records[0].settings
+        return self.compared_pass.settings
+
+    @cached_property
+    def mosaic(self) -> Map | None:
+        """Share of the light that each pixel of a Bayer camera has, relative to their mean."""
+        # (height, width)
+        bayer, white = self.sessions[0].bayer, self.characterisation.calibration.white
+        if bayer is None or white is None:
+            return None
+        width, height, _ = self.sessions[0].format
+        return colour_factors((height, width), bayer, white)
+
+    def filtered(self, twin: Twin) -> Twin:
+        """Give a twin the filter of the bench's camera, or none."""
+        return twin.with_filter(self.sessions[0].bayer, self.characterisation.calibration.white)
+
+    def evened(self, levels: LevelStack, black_level: float) -> LevelStack:
+        """Give levels as if all pixels had the same colour, where neighbours are compared."""
+        # levels (n, h, w)
+        if self.mosaic is None:
+            return levels
+        black = np.float32(black_level * self.full_scale)
+        return np.asarray((levels - black) / self.mosaic + black, np.float32)
 
     @property
     def reference_rms_px(self) -> float:
@@ -107,29 +133,55 @@ class Reference:
 
     @cached_property
     def one_of_each_set(self) -> tuple[int, ...]:
-        """Indices of the first image of every fringe set."""
-        return tuple(index for index, (_, step, _) in enumerate(self.plan.steps()) if step == 0)
+        """Indices of the first image of every set that all LEDs light."""
+        return tuple(
+            index
+            for index, (number, step, _) in enumerate(self.plan.steps())
+            if step == 0 and self.plan.sets[number].one_led is None
+        )
+
+    @cached_property
+    def finest_sets(self) -> tuple[int, ...]:
+        """Indices of the finest fringes along each axis, or of the finest code where there are none."""
+        plan, size = self.plan, self.projector[0]
+
+        def fineness(index: int) -> tuple[bool, float]:
+            length = axis_length(size, plan.sets[index].coded_axis or "x")
+            return index in plan.fringe_indices, plan.sets[index].finest_stripes(length)
+
+        along = ([k for k, each in enumerate(plan.sets) if each.coded_axis == axis] for axis in plan.axes)
+        return tuple(max(indices, key=fineness) for indices in along)
 
     @cached_property
     def finest(self) -> tuple[int, ...]:
-        """Two images of the finest set along each axis, a quarter of a period apart: not both extreme."""
-        sets = {self.plan.finest_set(axis) for axis in self.plan.axes}
+        """Two images of the finest set along each axis; of fringes a quarter of a period apart."""
         return tuple(
             index
-            for index, (fringes, step, _) in enumerate(self.plan.steps())
-            if fringes in sets and step in (0, max(1, round(self.plan.fringes[fringes].images / 4)))
+            for number in self.finest_sets
+            for images in [self._finest_first(number)]
+            for index in (images[0], *images[max(1, round(len(images) / 4)) :][:1])
         )
 
     @cached_property
     def finest_spread(self) -> tuple[int, ...]:
-        """Up to `finest_images` images of the finest set along every axis, evenly spaced over the period."""
-        sets = {self.plan.finest_set(axis) for axis in self.plan.axes}
+        """Up to `finest_images` images of the finest set along every axis, of fringes evenly spaced."""
         images = []
-        for index, (fringes, step, _) in enumerate(self.plan.steps()):
-            every = max(1, self.plan.fringes[fringes].images // LIMITS.finest_images)
-            if fringes in sets and step % every == 0 and step // every < LIMITS.finest_images:
-                images.append(index)
-        return tuple(images)
+        for number in self.finest_sets:
+            ordered = self._finest_first(number)
+            every = max(1, len(ordered) // LIMITS.finest_images)
+            images += ordered[::every][: LIMITS.finest_images]
+        return tuple(sorted(images))
+
+    def _finest_first(self, index: int) -> list[int]:
+        """Images of a set; of a code those first that change most along its axis."""
+        plan, shown = self.plan, self.plan.sets[index]
+        images = list(range(*plan.set_starts[index : index + 2]))
+        if index in plan.fringe_indices:
+            return images
+        length = axis_length(self.projector[0], shown.coded_axis or "x")
+        at, first = np.arange(length, dtype=np.float64), images[0]
+        changes = [np.abs(np.diff(shown.light(step, at, length))).sum() for step in range(shown.images)]
+        return sorted(images, key=lambda image: -changes[image - first])
 
     @cached_property
     def compared(self) -> tuple[int, ...]:
@@ -142,11 +194,21 @@ class Reference:
     def frames(self, pose: int, images: Sequence[int]) -> LevelStack:
         """Read some frames of a pose; their checksums are not verified."""
         # returns (n, h, w)
-        return np.stack([self.sessions[pose].read(i, verify=False) for i in images]).astype(np.float32)
+        return np.stack(
+            [self.sessions[pose].read(self.compared_pass.first + i, verify=False) for i in images]
+        ).astype(np.float32)
 
     def recorded(self, pose: int) -> list[Image]:
         """Read all frames of a pose as they were recorded; their checksums are not verified."""
-        return [self.sessions[pose].read(index, verify=False) for index in range(len(self.patterns))]
+        first = self.compared_pass.first
+        return [self.sessions[pose].read(first + i, verify=False) for i in range(len(self.patterns))]
+
+    def recording(self, pose: int, frames: Sequence[Image]) -> Recording:
+        """Give frames of the compared exposure, the bench's or the twin's, for decoding."""
+        session, (size, lattice) = self.sessions[pose], self.projector
+        plan = self.plan.model_copy(update={"exposures_s": None, "exposure_s": self.settings.exposure_s})
+        name, bits = session.path.name, self.settings.bits
+        return Recording(frames, plan, size, bits, name, lattice=lattice, bayer=session.bayer)
 
     def spread_poses(self, count: int) -> tuple[int, ...]:
         """Choose poses that are evenly spread over the depths of the board."""

@@ -191,6 +191,7 @@ def _characterise_and_place(
     parts = fit_scans(twin, request.surfaces, characterisation.calibration, refusals)
     reference = Reference.of(sessions, target, characterisation, request.response)
     listener.prepared(reference)
+    twin = reference.filtered(twin)
     placed = _place_grey_card(
         with_reference_geometry(twin.parameters, characterisation), request, characterisation, twin
     )

@@ -216,7 +216,10 @@ def _fit_light_and_focus_together(context: MatchingContext) -> TwinParameters:
 def _board_is_sharper(context: MatchingContext) -> bool:
     """Whether the board's fringes have more contrast than the twin's, in the mean over poses."""
     # Then it is not the projector that takes contrast from fringes on the parts, but the parts themselves.
-    off = board_contrasts(context.reference, context.twin, _spread(context)).mean(axis=1)
+    contrasts = board_contrasts(context.reference, context.twin, _spread(context))
+    if not contrasts.size:
+        return False
+    off = contrasts.mean(axis=1)
     error = off.std(ddof=1) / np.sqrt(len(off)) if len(off) > 1 else 0.0
     return bool(off.mean() > max(MIN_CONTRAST, SIGNIFICANT * error))
 

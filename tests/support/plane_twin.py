@@ -19,11 +19,12 @@ from scipy.sparse import csr_array
 from fpplab import artefacts
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
-from fpplab.core.conventions import Floats, Image, Lattice, PixelIndices, full_scale
+from fpplab.core.conventions import Floats, Image, Lattice, Map, PixelIndices, full_scale
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.mosaic import Bayer, colour_factors
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
@@ -140,11 +141,14 @@ class PlaneTwin:
         parameters: TwinParameters,
         seed: int = 0,
         bend_mm: Callable[[Floats, Floats], Floats] | None = None,
+        by_exposure: bool = False,
     ) -> None:
         self._now, self._bend_mm = parameters, bend_mm
         self._seed, self._counter = seed, FrameCounter()
         self._before_images: Callable[[], object] = lambda: None
         self._kept: dict[bytes, list[SeenSample]] = {}
+        self._shares: Map | None = None
+        self._by_exposure = by_exposure  # whether levels follow the exposure
 
     @property
     def parameters(self) -> TwinParameters:
@@ -164,6 +168,14 @@ class PlaneTwin:
     def with_parameters(self, parameters: TwinParameters) -> Self:
         other = copy(self)
         other._now = parameters
+        return other
+
+    def with_filter(self, bayer: Bayer | None, white: tuple[float, float, float] | None) -> Self:
+        other = copy(self)
+        other._shares = None
+        if bayer is not None and white is not None:
+            red, green, blue = (share / max(white) for share in white)
+            other._shares = colour_factors(CAMERA.size[::-1], bayer, (red, green, blue))
         return other
 
     def with_progress(self, before_images: Callable[[], object]) -> Self:
@@ -319,7 +331,12 @@ class PlaneTwin:
             if sharp > 0.01:
                 out[n] = cv2.GaussianBlur(out[n], (0, 0), sharp)
         vignetting = (1 + squared_slopes()) ** (-now.vignetting / 2)
-        levels = full * (now.black_level + (1 - now.black_level) * 0.8 * now.white * out * vignetting)
+        light = 0.8 * now.white * out * vignetting
+        if self._by_exposure:
+            light = light * np.float32(settings.exposure_s / SETTINGS.exposure_s)
+        if self._shares is not None:
+            light = light * self._shares
+        levels = full * (now.black_level + (1 - now.black_level) * light)
         return np.asarray(levels.clip(0, full), np.float32)
 
     def _albedo(self, sample: SeenSample, board: bool) -> NDArray[np.float32]:
@@ -418,16 +435,22 @@ def moved(parameters: TwinParameters, mm: float, degrees: float, seed: int = 0) 
     return replace(parameters, poses=tuple(off(pose) for pose in parameters.poses))
 
 
-def record(twin: PlaneTwin, plan: Plan, folder: Path) -> list[Session]:
+def record(twin: PlaneTwin, plan: Plan, folder: Path, bayer: Bayer | None = None) -> list[Session]:
     """Every pose of a twin as a session, as a bench would leave it."""
     size = twin.parameters.calibration.projector.size
-    rig = {"resolved": {"projector": {"size": list(size), "lattice": "square"}}}
+    rig: dict[str, Any] = {"resolved": {"projector": {"size": list(size), "lattice": "square"}}}
+    if bayer:
+        rig["resolved"]["camera"] = {"bayer": bayer}
     patterns = make_patterns(plan, size, Lattice.SQUARE)
     sessions = []
     for pose in range(len(twin.parameters.poses)):
         session = Session.create(folder / f"pose_{pose:02d}", plan, rig)
-        for index, image in enumerate(twin.frames(pose, patterns, SETTINGS)):
-            session.write(Frame(image, index, SETTINGS, 0.0, pattern_id=patterns[index].id))
+        index = 0
+        for exposure_s, images in zip(plan.exposures, plan.passes, strict=True):
+            shown, settings = [patterns[i] for i in images], replace(SETTINGS, exposure_s=exposure_s)
+            for pattern, image in zip(shown, twin.frames(pose, shown, settings), strict=True):
+                session.write(Frame(image, index, settings, 0.0, pattern_id=pattern.id))
+                index += 1
         sessions.append(session)
     return sessions
 
@@ -448,6 +471,10 @@ class Remembered:
     @property
     def records(self) -> list[Any]:
         return [SimpleNamespace(settings=SETTINGS) for _ in self.images]
+
+    @property
+    def bayer(self) -> None:
+        return None
 
     @property
     def format(self) -> tuple[int, int, int]:

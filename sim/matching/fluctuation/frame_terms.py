@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
+from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.plan import Plan
 from fpplab.phase.common_errors import beyond_fringe
 from sim.effects import EFFECTS
@@ -67,7 +68,7 @@ class FrameTerms:
 
 
 def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
-    now, images, sets = twin.parameters, *_images_of_finest_sets(reference.plan)
+    now, images, sets = twin.parameters, *_images_of_finest_sets(reference)
     board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
     pixels = subsample_pixels(board, LIMITS.max_pixels)
     first = reference.shown(images[:1])
@@ -96,9 +97,10 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     return FrameTerms(pose, np.array(images, np.float64), sets, values, both[0], both[1], room_share)
 
 
-def _images_of_finest_sets(plan: Plan) -> tuple[tuple[int, ...], NDArray[np.int64]]:
-    finest = {plan.finest_set(axis) for axis in plan.axes}
-    steps = [(n, index) for n, (index, _, _) in enumerate(plan.steps()) if index in finest]
+def _images_of_finest_sets(reference: Reference) -> tuple[tuple[int, ...], NDArray[np.int64]]:
+    steps = [
+        (n, index) for n, (index, _, _) in enumerate(reference.plan.steps()) if index in reference.finest_sets
+    ]
     images, sets = zip(*steps, strict=True)
     return images, np.array(sets, np.int64)
 
@@ -119,7 +121,10 @@ def _remove_constant_part(residuals: Floats, plan: Plan, sets: NDArray[np.int64]
     """Take off what of each pixel (n, P) is in every frame of a set: another offset, or another fringe."""
     changing = residuals.copy()
     for number in np.unique(sets):
-        of, shift = sets == number, plan.fringes[number].phase_shifts()
+        of, fringe = sets == number, plan.sets[number]
+        if not isinstance(fringe, FringeSet):
+            continue  # what a code has elsewhere in all frames is not told from what changes
+        shift = fringe.phase_shifts()
         beyond = beyond_fringe(shift)
         freedom = max(float(np.trace(beyond)), 1.0)
         changing[of] = (

@@ -66,12 +66,14 @@ def _of_pose(reference: Reference, parameters: TwinParameters, pose: int) -> Ite
     area = board_mask(parameters.calibration.camera, parameters.poses[pose], reference.target)
     pixels, grey = subsample_pixels(area, 8_000), raw_per_grey(reference.settings.bits)
     plan, black = reference.plan, 255.0 * parameters.black_level
-    for index, fringe in enumerate(plan.fringes):
-        if fringe.images < 7:  # of fewer, waves do not differ from motion (derived)
+    for index, fringe in enumerate(plan.sets):
+        # Of fewer images, waves do not differ from motion (derived).
+        if not isinstance(fringe, FringeSet) or fringe.images < 7:
             continue
         images = range(plan.set_starts[index], plan.set_starts[index + 1])
         frames = reference.frames(pose, images)
-        slopes = np.stack([slope[pixels] for slope in np.gradient(frames.mean(axis=0))]) / grey
+        even = reference.evened(frames.mean(axis=0), parameters.black_level)
+        slopes = np.stack([slope[pixels] for slope in np.gradient(even)]) / grey
         levels = frames[:, *pixels].astype(np.float64)
         clear = levels.max(axis=0) < reference.full_scale
         yield residual_of_set(

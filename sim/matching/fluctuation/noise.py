@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Image
-from fpplab.patterns.recording import Recording
+from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.phase.code_decoding import decode_codes
+from fpplab.phase.coded_axes import sets_of_axis
 from fpplab.phase.common_errors import beyond_fringe
 from fpplab.phase.error_model import error_model_of
 from fpplab.phase.noise import QUANTISATION, NoiseModel
@@ -126,9 +128,11 @@ def _twin_noise(reference: Reference, twin: Twin, pose: int) -> NoiseModel:
 
 
 def _noise_of(reference: Reference, pose: int, frames: Sequence[Image]) -> NoiseModel:
-    name = reference.sessions[pose].path.name
-    recording = Recording(frames, reference.plan, reference.projector[0], reference.settings.bits, name)
-    return error_model_of(recording).noise
+    recording = reference.recording(pose, frames)
+    if fringes := recording.fringe_part:
+        return error_model_of(fringes).noise
+    axis = recording.plan.axes[0]
+    return decode_codes(recording, axis, sets_of_axis(recording.plan, axis, with_fringes=False)).noise
 
 
 def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> Floats:
@@ -136,10 +140,12 @@ def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> Floa
     # Compared is what the phase fit leaves of the finest fringes over the board, in `levels` classes of
     # brightness, divided into structure finer and coarser than `fine_px`: the sensor's noise is fine,
     # vibration is as coarse as edges and fringes are.
-    images = reference.plan.finest_images
-    if len(images) < 4:
+    # Codes leave no such rest: their misfit has the twin's faults too, by which no step is judged.
+    index, plan = reference.finest_sets[0], reference.plan
+    fringe, images = plan.sets[index], range(*plan.set_starts[index : index + 2])
+    if not isinstance(fringe, FringeSet) or len(images) < 4:
         return np.zeros(len(poses))
-    shift = reference.plan.fringes[reference.plan.finest_set()].phase_shifts()
+    shift = fringe.phase_shifts()
     off = []
     for pose in poses:
         now = twin.parameters

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import TWO_PI, Axis, Floats, PixelIndices, axis_length, full_scale
 from fpplab.core.robust import huber_weights, multiway_covariance, robust_spread
+from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.phase.common_errors import beyond_fringe, fit_sinusoids, fringe_levels
 from sim.matching.loss import subsample_pixels
 from sim.matching.samples import tile_numbers
@@ -60,7 +61,8 @@ class ScanMotion:
 def motion_of_scan(twin: Twin, scan: BenchScan) -> ScanMotion | None:
     """Estimate how fast a part moved."""
     inner = lit_inside(twin, scan)
-    sets = [index for index, motion in enumerate(scan.session.plan.fringes) if motion.images > 3]
+    plan = scan.session.plan
+    sets = [index for index in plan.fringe_indices if plan.sets[index].images > 3]
     if not sets or np.count_nonzero(inner) < LIMITS.min_pixels:
         return None
     pixels = subsample_pixels(inner, LIMITS.pixels)
@@ -87,8 +89,9 @@ class _SetMotion:
     def of(
         cls, twin: Twin, scan: BenchScan, pixels: PixelIndices, index: int, turns: dict[Axis, Floats]
     ) -> _SetMotion | None:
-        plan, bits = scan.session.plan, scan.session.records[0].settings.bits
-        fringe, images = plan.fringes[index], range(*plan.set_starts[index : index + 2])
+        plan, bits = scan.session.plan, scan.compared_pass.settings.bits
+        fringe, images = plan.sets[index], range(*plan.set_starts[index : index + 2])
+        assert isinstance(fringe, FringeSet)
         raw = scan.levels(images, pixels)
         clear = raw.max(axis=0) < CLIPPED * full_scale(bits)
         if np.count_nonzero(clear) < LIMITS.min_pixels:

@@ -342,7 +342,8 @@ def _residual_of_pose(reference: Reference, twin: Twin, pose: int) -> PoseResidu
 
     whole = twin.expected(pose, patterns, reference.settings)
     here = picked(whole)
-    laplacian = picked(np.stack([cv2.Laplacian(image, cv2.CV_32F) for image in whole]))
+    even = reference.evened(whole, start.black_level)
+    laplacian = picked(np.stack([cv2.Laplacian(image, cv2.CV_32F) for image in even]))
     _, gradient = levels_with_gradient(reference, twin, pose, images, pixels)
     slopes = slopes_by_move(pixels, start.calibration, start.poses[pose], gradient)
     bent = change_by_bend(reference, start, pose, pixels, slopes)

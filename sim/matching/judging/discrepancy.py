@@ -11,8 +11,7 @@ import numpy as np
 
 from fpplab.core.conventions import Floats, Image
 from fpplab.core.errors import DataError
-from fpplab.patterns.fringes import make_patterns
-from fpplab.patterns.recording import Recording
+from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.phase import decode
 from sim.matching.fluctuation.scan_motion import motion_of_scan
 from sim.matching.judging.measured import expected_figures, measured_figures
@@ -20,7 +19,7 @@ from sim.matching.light.contrast import ContrastSample, board_contrasts, sample_
 from sim.matching.loss import board_mask, subsample_pixels
 from sim.matching.reference import Reference
 from sim.matching.samples import TILES, tile_numbers
-from sim.matching.scene.artefacts import BenchScan, placed_part
+from sim.matching.scene.artefacts import BenchScan, placed_part, scan_by_twin
 from sim.matching.steps import SAMPLED_POSES
 from sim.prediction import Discrepancy, MeasuredFigures, median_figures
 from sim.prediction.discrepancy import (
@@ -104,11 +103,9 @@ def _noise_difference(reference: Reference, twin: Twin, pose: int) -> float:
     board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
 
     def noise(frames: Sequence[Image]) -> float:
-        name = _name(reference, pose)
-        recording = Recording(frames, reference.plan, reference.projector[0], reference.settings.bits, name)
-        sigma = decode(recording).sigma[board]
+        sigma = decode(reference.recording(pose, frames)).sigma[board]
         if not np.isfinite(sigma).any():
-            raise DataError(f"{name}: no pixel of the board was decoded")
+            raise DataError(f"{_name(reference, pose)}: no pixel of the board was decoded")
         return float(np.nanmedian(sigma))
 
     return float(np.log(noise(reference.recorded(pose)) / noise(own)))
@@ -129,13 +126,17 @@ def _finest_contrast_deviation(
     finer_than_board: Sequence[ContrastSample],
     differences_by_sample: Mapping[int, Floats],
     poses: Sequence[int],
-) -> ContrastDeviation:
+) -> ContrastDeviation | None:
     """Compare contrasts of the finest fringes: on parts if they are finer there than on the board."""
+    # None where neither has fringes.
     if finer_than_board:
         stripes = max(fringe.stripes for sample in finer_than_board for fringe in sample.sets)
         differences = np.concatenate([differences_by_sample[sample.number] for sample in finer_than_board])
     else:
-        stripes = reference.plan.finest.stripes
+        finest = reference.plan.sets[reference.finest_sets[0]]
+        if not isinstance(finest, FringeSet):
+            return None
+        stripes = finest.stripes
         differences = board_contrasts(reference, twin, poses)
     return ContrastDeviation(stripes=stripes, relative=float(np.sqrt(np.mean(differences**2))))
 
@@ -145,16 +146,10 @@ def scan_figures(
 ) -> tuple[MeasuredFigures, MeasuredFigures]:
     placed = placed_part(twin, scan)
     real = measured_figures(scan.session, reference.characterisation.calibration, placed)
-    session, calibration = scan.session, twin.parameters.calibration
-    plan, (size, lattice) = session.plan, session.projector()
-    settings = session.records[0].settings
-    patterns, depth = make_patterns(plan, size, lattice), session.depth
-    own = []
+    session, calibration, own = scan.session, twin.parameters.calibration, []
     # Flicker and vibration differ from one scan to the next, of which the twin may have any number.
     for _ in range(5):
-        frames = twin.scan(scan.item, scan.T_camera_item, patterns, settings)
-        recording = Recording(frames, plan, size, settings.bits, f"the twin's {scan.item}")
-        own.append(expected_figures(recording, calibration, placed, depth))
+        own.append(expected_figures(scan_by_twin(twin, scan), calibration, placed, session.depth))
     return real, median_figures(own)
 
 

@@ -109,12 +109,13 @@ def check_geometry(measured: Calibration, nominal: Calibration, refusals: Refusa
 def check_response(response: Response, sessions: Sequence[Session], refusals: Refusals) -> None:
     # The fringes on the board are bent by the response: the second harmonic of the widest set of at least
     # four images shows it without any twin.
-    plan = sessions[0].plan
-    wide = [k for k, session in enumerate(plan.fringes) if session.images > 3]
-    if not wide:
+    plan = sessions[0].plan.fringe_part
+    wide = [k for k, fringe in enumerate(plan.fringes) if fringe.images > 3] if plan else []
+    if plan is None or not wide:
         return
     widest = min(wide, key=lambda k: plan.fringes[k].stripes)
-    recordings = [replace(session.recording(verify=False), response=None) for session in sessions]
+    parts = [session.recording(verify=False).fringe_part for session in sessions]
+    recordings = [replace(part, response=None) for part in parts if part is not None]
     measured = float(np.median([error_model_of(session).sets[widest].harmonics[0] for session in recordings]))
     should = float(relative_harmonics(response, plan.response, 2)[2])
     if not abs(measured - should) <= LIMITS.max_harmonic_difference:
@@ -159,8 +160,10 @@ def _contrast(reference: Reference, twin: Twin, pose: int, images: Sequence[int]
     part = np.s_[y : y + height, x : x + width]
     board = whole[part]
     share = _mean_nearby(np.ones(board.shape, np.float32), board)
-    expected = twin.expected(pose, reference.shown(images), reference.settings)
-    real = reference.frames(pose, images)
+    expected = reference.evened(
+        twin.expected(pose, reference.shown(images), reference.settings), now.black_level
+    )
+    real = reference.evened(reference.frames(pose, images), now.black_level)
     products, squares = 0.0, 0.0
     for pair in zip(real, expected, strict=True):
         on_bench, on_twin = (_at_even_brightness(image[part], board, share) for image in pair)

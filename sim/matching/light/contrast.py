@@ -105,17 +105,19 @@ class ContrastSample:
 
 def sample_contrasts(twin: Twin, scans: Sequence[BenchScan], board: Plan) -> list[ContrastSample]:
     """Sample the contrast of fringes on parts that are finer than all on the board."""
-    return list(_samples(twin, scans, board.most_stripes))
+    fringes = (each.stripes for each in board.sets if isinstance(each, FringeSet))
+    return list(_samples(twin, scans, max(fringes, default=0.0)))
 
 
 def board_contrasts(reference: Reference, twin: Twin, poses: Sequence[int]) -> Floats:
     """Compare the contrast of the board's finest fringes with the twin's."""
-    # returns (poses, axes)
+    # returns (poses, axes that have fringes)
     plan, now = reference.plan, twin.parameters
-    black, sets = now.black_level * reference.full_scale, [plan.finest_set(axis) for axis in plan.axes]
+    sets = {k: each for k in reference.finest_sets if isinstance(each := plan.sets[k], FringeSet)}
+    black = now.black_level * reference.full_scale
 
     def contrast(levels: Floats, index: int) -> Floats:
-        offset, cosine, sine = fit_sinusoids(levels, plan.fringes[index])
+        offset, cosine, sine = fit_sinusoids(levels, sets[index])
         return np.asarray(np.hypot(cosine, sine) / np.maximum(offset - black, 1.0))
 
     def of_pose(pose: int) -> list[float]:
@@ -154,12 +156,13 @@ def with_common_error(
 
 def _samples(twin: Twin, scans: Sequence[BenchScan], stripes: float) -> Iterator[ContrastSample]:
     for number, scan in enumerate(scans):
-        plan, settings = scan.session.plan, scan.session.records[0].settings
-        finer = [index for index, fringe in enumerate(plan.fringes) if fringe.stripes > stripes]
+        plan, settings = scan.session.plan, scan.compared_pass.settings
+        fringes = {k: each for k, each in enumerate(plan.sets) if isinstance(each, FringeSet)}
+        finer = [index for index, fringe in fringes.items() if fringe.stripes > stripes]
         inner = lit_inside(twin, scan)
         if not finer or np.count_nonzero(inner) < LIMITS.min_pixels:
             continue
-        pixels, sets = subsample_pixels(inner, LIMITS.pixels), tuple(plan.fringes[index] for index in finer)
+        pixels, sets = subsample_pixels(inner, LIMITS.pixels), tuple(fringes[index] for index in finer)
         images = [n for index in finer for n in range(*plan.set_starts[index : index + 2])]
         shown = make_patterns(plan, *scan.session.projector())
         levels = scan.levels(images, pixels)

@@ -8,6 +8,7 @@ the artefact on the bench is found by aligning its true shape with the bench's c
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import cv2
@@ -32,6 +33,7 @@ from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import camera_rays
 from fpplab.sessions.session import Session
+from sim.matching.passes import ComparedPass, twin_recording
 from sim.matching.refusal import Refusals
 from sim.prediction.figures import seen_surface
 from sim.twin import Twin
@@ -108,8 +110,13 @@ class BenchScan:
     def levels(self, images: Iterable[int], pixels: PixelIndices) -> Floats:
         """Read some images at some pixels; they were checked when the scan was reconstructed."""
         # returns (n, P)
-        read = [self.session.read(index, verify=False)[pixels] for index in images]
+        first = self.compared_pass.first
+        read = [self.session.read(first + index, verify=False)[pixels] for index in images]
         return np.array(read, np.float64)
+
+    @cached_property
+    def compared_pass(self) -> ComparedPass:
+        return ComparedPass.of(self.session)
 
 
 def placed_part(twin: Twin, scan: BenchScan) -> trimesh.Trimesh:
@@ -178,20 +185,21 @@ def compare_artefacts(
 ) -> list[ArtefactComparison]:
     comparisons = []
     for number, scan in enumerate(scans, 1):
-        own = _scan_item(twin, scan.item, scan.session, scan.T_camera_item, twin_calibration)
+        own = _twin_cloud(twin, scan, twin_calibration)
         judged = compare(own, placed_part(twin, scan), twin_calibration, align=True)
         comparisons.append(ArtefactComparison(scan.item, scan.comparison, judged, scan.cloud, own))
         progress(number / len(scans))
     return comparisons
 
 
-def _scan_item(
-    twin: Twin, item: str, session: Session, T_camera_item: RigidTransform, calibration: Calibration
-) -> Cloud:
-    """Scan an item at its pose `T_camera_item` with the twin, by the session's plan and settings."""
-    plan, (size, lattice) = session.plan, session.projector()
-    settings = session.records[0].settings
-    frames = twin.scan(item, T_camera_item, make_patterns(plan, size, lattice), settings)
-    recording = Recording(frames, plan, size, settings.bits, f"the twin's {item}")
-    decoded = decode(recording, bounds=decoding_bounds(plan, calibration, session.depth))
+def scan_by_twin(twin: Twin, scan: BenchScan) -> Recording:
+    """Scan an item where the bench had it with the twin, by the session's plan and settings."""
+    patterns = make_patterns(scan.session.plan, *scan.session.projector())
+    take = partial(twin.scan, scan.item, scan.T_camera_item)
+    return twin_recording(scan.session, patterns, take, f"the twin's {scan.item}")
+
+
+def _twin_cloud(twin: Twin, scan: BenchScan, calibration: Calibration) -> Cloud:
+    recording, plan = scan_by_twin(twin, scan), scan.session.plan
+    decoded = decode(recording, bounds=decoding_bounds(plan, calibration, scan.session.depth))
     return points_of(decoded, calibration, plan, recording.mean_image())[1]

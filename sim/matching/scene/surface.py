@@ -157,7 +157,7 @@ class _View:
         self._now, session = twin.parameters, scan.session
         size, lattice = session.projector()
         self.patterns: tuple[Pattern, ...] = make_patterns(session.plan, size, lattice)
-        self.settings = session.records[0].settings
+        self.settings = scan.compared_pass.settings
         self.full = float(full_scale(self.settings.bits))
         self.pixels = self._lit_pixels()
         frames = scan.levels(range(len(self.patterns)), self.pixels)
