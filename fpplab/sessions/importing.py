@@ -46,18 +46,24 @@ def import_images(
     check_bits(bits)
     if bayer not in (None, *get_args(Bayer)):
         raise ConfigError(f"--bayer is '{bayer}': must be one of {', '.join(get_args(Bayer))}")
-    plan.refuse_exposures("an import")
     rig = _projector_record(plan, projector_size, lattice, bayer is not None)
     if bayer is not None and rig is not None:
         rig["resolved"]["camera"] = {"bayer": bayer}
-    images = _find_and_check_images(source, [each.images for each in plan.sets], bits, warn, tell)
+    sizes = [shown.images for each in plan.exposures for shown in plan.part_at(each).sets]
+    images = _find_and_check_images(source, sizes, bits, warn, tell)
+    patterns = [pattern for _, _, pattern in plan.steps()]
+    taken_at = [
+        (patterns[i], exposure_s)
+        for exposure_s, shown in zip(plan.exposures, plan.passes, strict=True)
+        for i in shown
+    ]
 
     def fill(session: Session) -> None:
-        for index, ((_, _, pattern), image) in enumerate(zip(plan.steps(), images.read(), strict=True)):
-            settings = CameraSettings(plan.exposure_s, 0.0, images.bits)
+        for index, ((pattern, exposure_s), image) in enumerate(zip(taken_at, images.read(), strict=True)):
+            settings = CameraSettings(exposure_s, 0.0, images.bits)
             taken = images.places[index].path.stat().st_mtime
             session.write(Frame(image, index, settings, taken, pattern_id=pattern))
-            progress((index + 1) / plan.images)
+            progress((index + 1) / plan.frames)
 
     with exclusive_write(
         out

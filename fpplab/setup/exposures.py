@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -19,16 +20,20 @@ import numpy as np
 from fpplab.acquisition.acquire import expose
 from fpplab.acquisition.timing import planned_timing
 from fpplab.calibration.model import Calibration
-from fpplab.core.conventions import TWO_PI, Floats, Image, Mask, axis_length, raw_per_grey
+from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Lattice, Mask, axis_length, raw_per_grey
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Timed
+from fpplab.patterns.fringe_sets import PatternSet
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import MaskRules, Plan
+from fpplab.phase.code_table import code_table, code_uncertainty
+from fpplab.phase.coded_axes import axes_by_codes, sets_of_axis
 from fpplab.phase.exposures import ExposureModel, merge_frames
-from fpplab.phase.limits import NOISE
+from fpplab.phase.limits import CODES, NOISE
 from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
 from fpplab.setup.live.exposure import ExposureLimits
+from fpplab.setup.live.patterns import as_fine_fringes
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,7 @@ class ExposureSearchLimits:
     pixels: int = 1500  # that are predicted, of those that see the projector
     min_sigmas: float = 6.0  # of the difference of white and black at a pixel that sees the projector
     completeness: float = 0.005  # that is given up for less noise
+    noise_range: tuple[float, float] = (1e-3, 0.5)  # of levels over the modulation that codes are tried with
 
 
 SEARCH = ExposureSearchLimits()
@@ -87,10 +93,16 @@ class SceneLight:
         self, plan: Plan, size: tuple[int, int], exposures_s: Sequence[float]
     ) -> tuple[Mask, Floats]:
         """Compute which pixels are measured, and the noise of their coordinate along the first axis in px."""
+        axis, fringes = plan.axes[0], plan.fringe_part
         measured, information = np.isfinite(self.offset), np.zeros(len(self.offset))
-        length, finest = axis_length(size, plan.axes[0]), plan.finest.stripes
-        for k in plan.sets_along(plan.axes[0]):
-            fringe = plan.fringes[k]
+        if codes := sets_of_axis(plan, axis, with_fringes=axis in axes_by_codes(plan, size)):
+            kinds = tuple(plan.sets[k] for k in codes)
+            measured, noise = self._code_noise(plan.masks, kinds, (axis, size), exposures_s)
+        if fringes is None or axis in axes_by_codes(plan, size):
+            return measured, _code_spread(kinds, axis, size, noise)
+        length, finest = axis_length(size, axis), fringes.finest.stripes
+        for k in fringes.sets_along(axis):
+            fringe = fringes.fringes[k]
             contrast = self.contrast ** ((fringe.stripes / finest) ** 2)
             seen, variance = self._phase_variance(plan.masks, fringe.images, contrast, exposures_s)
             measured &= seen
@@ -106,6 +118,37 @@ class SceneLight:
         cosine, sine = np.cos(theta), np.sin(theta)
         fringe = np.where(np.isfinite(self.modulation), contrast * self.modulation, 0.0)
         light = np.where(np.isfinite(self.offset), self.offset, np.inf)[:, None] + fringe[:, None] * cosine
+        used, variance = self._merged(light, exposures_s)
+        slopes = np.where(used, sine**2, 0.0)
+        spread = (slopes * variance).sum(axis=1) / np.maximum(slopes.sum(axis=1), 1e-30)
+        loss = _loss(used, cosine, sine)
+        seen = used.sum(axis=1) >= NOISE.min_samples
+        seen &= (loss <= NOISE.max_saturation_loss) & self._is_bright(masks, fringe, spread)
+        square = np.square(np.where(seen, fringe, 1.0))
+        return seen, np.where(seen, spread * np.where(seen, loss, 1.0) / square, np.inf)
+
+    def _code_noise(
+        self,
+        masks: MaskRules,
+        kinds: tuple[PatternSet, ...],
+        place: tuple[Axis, tuple[int, int]],
+        exposures_s: Sequence[float],
+    ) -> tuple[Mask, Floats]:
+        """Which pixels see all images of codes, and the noise of their levels over the modulation."""
+        length = axis_length(place[1], place[0])
+        at = (length - 1.0) * np.random.default_rng(0).random(len(self.offset))  # a pixel sees any coordinate
+        shown = [each.light(step, at, length) for each in kinds for step in range(each.images)]
+        half = np.where(np.isfinite(self.modulation), self.modulation, 0.0)
+        swing = half[:, None] * (2.0 * np.stack(shown, axis=1) - 1.0)
+        light = np.where(np.isfinite(self.offset), self.offset, np.inf)[:, None] + swing
+        used, variance = self._merged(light, exposures_s)
+        spread = variance.mean(axis=1)
+        seen = used.all(axis=1) & self._is_bright(masks, half, spread)
+        return seen, np.where(seen, np.sqrt(spread) / np.where(seen, half, 1.0), np.inf)
+
+    def _merged(self, light: Floats, exposures_s: Sequence[float]) -> tuple[Mask, Floats]:
+        """Which samples any exposure has unsaturated, and the variance of all that have it together."""
+        # light (P, N) levels per s
         noise, weight = self.model.noise, np.zeros_like(light)
         for exposure_s in exposures_s:
             levels = exposure_s * light
@@ -113,20 +156,30 @@ class SceneLight:
             levels = np.where(usable, levels, 0.0)
             weight += np.where(usable, exposure_s**2 / noise.variance(np.maximum(levels, 0.0)), 0.0)
         used = weight > 0.0
-        variance = np.where(used, 1.0 / np.maximum(weight, 1e-30), 0.0)
-        slopes = np.where(used, sine**2, 0.0)
-        spread = (slopes * variance).sum(axis=1) / np.maximum(slopes.sum(axis=1), 1e-30)
-        loss = _loss(used, cosine, sine)
+        return used, np.where(used, 1.0 / np.maximum(weight, 1e-30), 0.0)
+
+    def _is_bright(self, masks: MaskRules, modulation: Floats, spread: Floats) -> Mask:
+        """Whether the plan's rules take the modulation, at the scale that merging gives it."""
+        noise, grey = self.model.noise, raw_per_grey(self.bits)
         rising = noise.per_level * self.offset
         scale = (
             0.5 * (rising + np.sqrt(rising**2 + 4.0 * spread * noise.constant)) / np.maximum(spread, 1e-30)
         )
-        grey = raw_per_grey(self.bits)
-        seen = used.sum(axis=1) >= NOISE.min_samples
-        seen &= (loss <= NOISE.max_saturation_loss) & (scale * fringe >= masks.modulation_min * grey)
-        seen &= scale * fringe >= masks.contrast_min * (scale * self.offset + self.model.offset)
-        square = np.square(np.where(seen, fringe, 1.0))
-        return seen, np.where(seen, spread * np.where(seen, loss, 1.0) / square, np.inf)
+        level, offset = scale * modulation, scale * self.offset + self.model.offset
+        return np.asarray((level >= masks.modulation_min * grey) & (level >= masks.contrast_min * offset))
+
+
+@lru_cache(maxsize=8)  # one plan is asked for many exposures
+def _code_spreads(kinds: tuple[PatternSet, ...], axis: Axis, size: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Noise of levels over the modulation, and what uncertainty in px it gives."""
+    table = code_table(kinds, axis, size, Lattice.SQUARE, CODES.usual_blur_px)
+    noise = np.geomspace(*SEARCH.noise_range, SEARCH.grid)
+    return noise, np.array([code_uncertainty(table, each, CODES.apart_px)[0] for each in noise])
+
+
+def _code_spread(kinds: tuple[PatternSet, ...], axis: Axis, size: tuple[int, int], noise: Floats) -> Floats:
+    shares, spreads = _code_spreads(kinds, axis, size)
+    return np.where(np.isfinite(noise), np.interp(noise, shares, spreads), np.inf)
 
 
 def _loss(used: Mask, cosine: Floats, sine: Floats) -> Floats:
@@ -167,9 +220,12 @@ def choose_exposures(
     count = min(SEARCH.grid, 1 + math.ceil(math.log(longest / shortest) / math.log(SEARCH.min_ratio)))
     grid = sorted({limits.on_grid(float(f"{each:.3g}")) for each in np.geomspace(shortest, longest, count)})
     # The finest set decides the noise, and that of fewest steps what saturated samples are missed.
-    along = plan.sets_along(plan.axes[0])
-    deciding = {along[-1], min(along, key=lambda k: plan.fringes[k].images)}
-    part = plan.model_copy(update={"fringes": tuple(plan.fringes[k] for k in deciding), "guided_axis": None})
+    part = plan
+    if plan.fringe_part is plan:
+        along = plan.sets_along(plan.axes[0])
+        deciding = {along[-1], min(along, key=lambda k: plan.fringes[k].images)}
+        chosen_sets = tuple(plan.fringes[k] for k in deciding)
+        part = plan.model_copy(update={"fringes": chosen_sets, "guided_axis": None})
     choices = [
         _expected(light, part, size, chosen, needed)
         for several in range(1, most + 1)
@@ -204,10 +260,12 @@ def measure_light(rig: Rig, plan: Plan, seconds: float) -> tuple[SceneLight, Exp
     """Take the ladder of exposures on an open rig."""
     # returns the light, the devices' limits, and s of a frame beside its exposure
     plan.refuse_set_exposures("the choice of exposures")
-    caps, finest = rig.projector.caps, plan.finest
+    caps = rig.projector.caps
+    fringes = plan.fringe_part or as_fine_fringes(plan, caps.size)
+    finest = fringes.finest
     limits = ExposureLimits.by_devices(rig.camera.caps, caps, plan)
-    patterns = make_patterns(plan, caps.size, caps.lattice)
-    steps = plan.finest_images
+    patterns = make_patterns(fringes, caps.size, caps.lattice)
+    steps = fringes.finest_images
     half = finest.images // 2
     shown = [*uniform_patterns([255, 0], caps.size), patterns[steps[0]], patterns[steps[half]]]
     rig.projector.load(shown)

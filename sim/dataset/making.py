@@ -17,9 +17,11 @@ from fpplab.core.progress import Progress, no_progress
 from fpplab.devices.backends import load_backend
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.mosaic import Bayer
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import check_codes, check_unwrapping, decode, wrapped_phase
+from fpplab.phase.exposures import merged_recording
 from sim.bench import VirtualBench
 from sim.dataset.card import dataset_fields, make_card, prepare_folder, split_of
 from sim.dataset.labels import Labels, trace_labels
@@ -41,13 +43,20 @@ SampleObserver = Callable[[Arrays, dict[str, Any]], object]
 
 
 def sample_arrays(
-    frames: list[Image], plan: Plan, exposure_s: float, bits: int, truth: SceneTruth, labels: Labels
+    frames: list[Image],
+    plan: Plan,
+    exposure_s: float,
+    bits: int,
+    truth: SceneTruth,
+    labels: Labels,
+    bayer: Bayer | None = None,
 ) -> Arrays:
     """Compute every field of a sample, as `FIELDS` describes them."""
     # frames (height, width)
     devices = truth.calibration
-    size = devices.projector.size
-    recording = Recording(frames, plan, size, bits, lattice=devices.projector.lattice)
+    size, lattice = devices.projector.size, devices.projector.lattice
+    raw = Recording(frames, plan, size, bits, lattice=lattice, bayer=bayer)
+    recording = merged_recording(raw, plan.exposures)
     decoded = decode(recording)
     fringes = plan.fringe_part.fringes if plan.fringe_part else ()
     wrapped = [
@@ -105,9 +114,9 @@ class DatasetMaker:
         caps = rig.projector.caps
         check_unwrapping(request.plan, "plan")
         check_codes(request.plan, caps.size, "plan")
-        request.plan.refuse_exposures("a data set")
+        request.plan.refuse_set_exposures("a data set")
         self._patterns = make_patterns(request.plan, caps.size, caps.lattice)
-        _check_ranges(rig, request.scenes)
+        _check_ranges(rig, request.plan, request.scenes)
         self._rig, self._request = rig, request
         self._studio = _arrangeable(rig).studio()
         self._bits = rig.camera_settings(request.plan.exposure_s, request.plan.bits).bits
@@ -171,7 +180,8 @@ class DatasetMaker:
         frames = self._frames(scene)
         truth = studio.truth()
         labels = trace_labels(truth)
-        arrays = sample_arrays(frames, request.plan, scene.exposure_s, self._bits, truth, labels)
+        bayer = self._rig.camera.caps.bayer
+        arrays = sample_arrays(frames, request.plan, scene.exposure_s, self._bits, truth, labels, bayer)
         record = {
             "index": index,
             "split": split_of(index),
@@ -192,13 +202,15 @@ class DatasetMaker:
         # Noise numbers count from the camera's opening: reopened, a sample is independent of those before.
         rig.camera.close()
         rig.camera.open()
-        with closing(
-            expose(rig, self._patterns, rig.camera_settings(scene.exposure_s, self._bits), plan)
-        ) as shots:
-            return [shot.image for shot in shots]
+        frames = list[Image]()
+        for exposure_s in plan.exposures:
+            settings = rig.camera_settings(scene.exposure_s * exposure_s / plan.exposure_s, self._bits)
+            with closing(expose(rig, self._patterns, settings, plan)) as shots:
+                frames += [shot.image for shot in shots]
+        return frames
 
 
-def _check_ranges(rig: Rig, scenes: SceneRanges) -> None:
+def _check_ranges(rig: Rig, plan: Plan, scenes: SceneRanges) -> None:
     """Refuse ranges that the devices cannot do, before the first scene: `ConfigError`."""
     travel = rig.stage.caps.travel_mm if rig.stage is not None else (0.0, 0.0)
     limits = {
@@ -207,6 +219,9 @@ def _check_ranges(rig: Rig, scenes: SceneRanges) -> None:
     }
     for name, ((lower, upper), what) in limits.items():
         low, high = getattr(scenes, name)
+        if name == "exposure_s":  # of which a plan's exposures are multiples
+            low *= min(plan.exposures) / plan.exposure_s
+            high *= max(plan.exposures) / plan.exposure_s
         if not lower <= low <= high <= upper:
             raise ConfigError(
                 f"scenes: '{name}' is [{low:g}, {high:g}]: outside {what}, {lower:g} to {upper:g}"

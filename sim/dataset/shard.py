@@ -49,8 +49,9 @@ class FieldSpec:
 FRAMES = "frames"  # name of the field with the camera's images
 FIELDS = (
     FieldSpec(FRAMES, "camera", "", "N h w", "raw levels", "the camera's integers, images in the plan's "
-          "order"),
-    FieldSpec("exposure_s", "camera", "<f8", "", "s", "exposure of every frame"),
+          "order, at one of its exposures after the other"),
+    FieldSpec("exposure_s", "camera", "<f8", "", "s", "exposure in place of the plan's 'exposure_s', to "
+          "which all its exposures keep their ratio"),
     FieldSpec("wrapped_phase", "measured", "<f4", "S h w", "rad", "phase of each fringe set in [0, 2π), "
           "demodulated from the frames; noise alone where no fringes fall"),
     FieldSpec("decoded_u", "measured", "<f4", "h w", "projector px", "column that decoding finds; NaN "
@@ -82,7 +83,7 @@ FIELDS = (
 def dimension_sizes(plan: Plan, size: tuple[int, int]) -> dict[str, int]:
     """Look up the lengths that the letters in `FieldSpec.shape` stand for."""
     # size (int, int)
-    return {"N": plan.images, "S": len(plan.fringe_indices), "h": size[1], "w": size[0]}
+    return {"N": plan.frames, "S": len(plan.fringe_indices), "h": size[1], "w": size[0]}
 
 
 CHECKSUMS, SCENES = "sha256.json", "scenes.jsonl"

@@ -131,8 +131,8 @@ def test_exposures_are_several_for_every_image(tmp_path: Path) -> None:
     assert (several.exposures, several.images, several.frames) == ((0.08, 0.005, 0.02), 22, 66)
     assert several.exposure_s == 0.02  # that of single pictures: in the middle
     assert plan_of(config.dump(several), tmp_path) == several
-    with pytest.raises(ConfigError, match="plan: 'exposures_s' has 3 exposures, but a data set takes one"):
-        several.refuse_exposures("a data set")
+    with pytest.raises(ConfigError, match="plan: 'exposures_s' has 3 exposures, but this takes one"):
+        several.refuse_exposures("this")
 
 
 SETS = {

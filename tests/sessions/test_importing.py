@@ -59,6 +59,16 @@ def test_good_images_come_in_whole(folder: Path) -> None:
     assert bring(folder, force=True).missing() == []
 
 
+def test_images_of_several_exposures_come_one_exposure_after_the_other(folder: Path) -> None:
+    for index in range(PLAN.images, 2 * PLAN.images):
+        replace(folder, index, image_of(index))
+    plan = PLAN.model_copy(update={"exposures_s": (0.04, 0.01)})
+    session = import_images(ImageSelection((folder,), NAMES), plan, folder.parent / "session")
+    assert [record.settings.exposure_s for record in session.records] == [0.04] * 4 + [0.01] * 4
+    assert session.missing() == []
+    np.testing.assert_array_equal(session.passes()[1].frames[2], image_of(6))
+
+
 @pytest.mark.parametrize("bits", [10, 12, 16])
 def test_deep_images_come_in_whole(folder: Path, bits: int) -> None:
     for index in range(4):

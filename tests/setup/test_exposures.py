@@ -11,6 +11,7 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
 from fpplab.phase import decode
+from fpplab.phase.coded_axes import coded_coordinate
 from fpplab.phase.exposures import ExposureModel
 from fpplab.phase.noise import NoiseModel
 from fpplab.sessions.session import Session
@@ -59,6 +60,27 @@ def test_noise_is_foretold_as_it_falls_with_light() -> None:
     expected = 912 / (2 * math.pi * 60) * math.sqrt(2 / 4 * variance) / 90.0
     assert sigma[1] == pytest.approx(expected, rel=0.03)
     assert 1.4 < sigma[0] / sigma[1] < 2.0
+
+
+GRAY = [{"kind": "gray", "axis": "x", "bits": 10}, {"kind": "even", "levels": [1, 0]}]
+GRAY_ORDERS = [*SETS[2:], {"kind": "gray", "axis": "x", "bits": 6, "cell_px": 15.2}]
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("sets", [GRAY, GRAY_ORDERS])
+def test_codes_need_several_exposures_for_dark_and_bright_parts_too(sets: list[dict[str, object]]) -> None:
+    plan = config.validate({"fringes": sets}, Plan, "plan")
+    mixed = light_of(200.0, 30_000.0)
+    assert choose_exposures(mixed, plan, SIZE, LIMITS, 12.0, most=1).completeness == 0.5
+    assert choose_exposures(mixed, plan, SIZE, LIMITS, 12.0, most=2).completeness == 1.0
+
+
+def test_noise_of_a_code_is_foretold_as_its_plan_states_it() -> None:
+    plan = config.validate({"fringes": GRAY}, Plan, "plan")
+    measured, sigma = light_of(1000.0).expected(plan, SIZE, (0.1,))
+    assert measured.all()
+    noise = math.sqrt(0.2 + 0.025 * 100.0) / 90.0
+    assert sigma.mean() == pytest.approx(coded_coordinate(plan, "x", SIZE, noise)[0], rel=0.05)
 
 
 def test_a_rig_is_looked_at_and_measured_as_foretold(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ class LivePatterns:
 
 
 def live_patterns(plan: Plan, caps: ProjectorCaps) -> Iterator[LivePatterns]:
-    plan = plan.fringe_part or _as_fine_fringes(plan, caps.size)
+    plan = plan.fringe_part or as_fine_fringes(plan, caps.size)
     yield _with_stills(_short_plan(plan), caps)
     yield _of_cycle(_widest_and_finest_sets(plan), caps)
 
@@ -61,7 +61,7 @@ def loaded_patterns(plan: Plan, projector: Projector) -> LivePatterns:
     return choices[-1]
 
 
-def _as_fine_fringes(plan: Plan, size: tuple[int, int]) -> Plan:
+def as_fine_fringes(plan: Plan, size: tuple[int, int]) -> Plan:
     """Sinusoids along the first axis of codes, as fine as these."""
     axis = plan.axes[0]
     length = axis_length(size, axis)

@@ -16,7 +16,7 @@ from fpplab.acquisition.timing import PulseTiming, planned_timing
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core import config
-from fpplab.core.conventions import AXES, Image, raw_dtype
+from fpplab.core.conventions import AXES, Image, axis_length, raw_dtype
 from fpplab.core.depth import first_stated
 from fpplab.core.errors import CapabilityError, ConfigError, DataError, DeviceError
 from fpplab.core.progress import Progress
@@ -30,6 +30,7 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
+from fpplab.phase.exposures import merged_recording
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
@@ -183,7 +184,7 @@ class _FringeInspection:
         if plan is None:
             self.unknown.append("light, focus and geometry: the frames do not show their own patterns")
             return
-        for shown_plan in _with_both_axes(plan) if self._calibration else (plan,):
+        for shown_plan in _with_both_axes(plan, rig.projector.caps.size) if self._calibration else (plan,):
             try:
                 recording = _take_frames(rig, shown_plan, lambda share: progress(0.8 * share))
             except CapabilityError as error:
@@ -224,28 +225,32 @@ class _FringeInspection:
         return diagnose_scan(recording, decoded, cloud, calibration, self._plan)
 
 
-def _with_both_axes(plan: Plan) -> Iterator[Plan]:
+def _with_both_axes(plan: Plan, size: tuple[int, int]) -> Iterator[Plan]:
     """A plan with fringes along both axes, which show a stale calibration, and the plan itself."""
     # The further sets are those of the plan along the other axis, so that they can be unwrapped too.
     if len(plan.axes) < len(AXES):
         (other,) = set(AXES) - set(plan.axes)
-        crossed = tuple(fringe.model_copy(update={"axis": other}) for fringe in plan.fringes)
-        yield plan.model_copy(update={"fringes": plan.fringes + crossed})
+        crossed = tuple(each.model_copy(update={"axis": other}) for each in plan.sets if each.coded_axis)
+        if not any(each.fault(axis_length(size, other)) for each in crossed):
+            yield plan.model_copy(update={"fringes": plan.sets + crossed})
     yield plan
 
 
 def _take_frames(rig: Rig, plan: Plan, progress: Progress) -> Recording:
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)
-    settings = rig.camera_settings(plan.exposure_s, plan.bits)
     recover_camera(rig)
-    frames = []
-    with closing(expose(rig, patterns, settings, plan)) as shots:
-        for shot in shots:
-            frames.append(shot.image)
-            progress(len(frames) / len(patterns))
+    frames, exposures_s = list[Image](), list[float]()
+    for exposure_s, images in zip(plan.exposures, plan.passes, strict=True):
+        settings = rig.camera_settings(exposure_s, plan.bits)
+        with closing(expose(rig, [patterns[i] for i in images], settings, plan)) as shots:
+            for shot in shots:
+                frames.append(shot.image)
+                progress(len(frames) / plan.frames)
+        exposures_s.append(shot.settings.exposure_s)
     bayer = rig.camera.caps.bayer
-    return Recording(frames, plan, caps.size, settings.bits, "check", lattice=caps.lattice, bayer=bayer)
+    raw = Recording(frames, plan, caps.size, settings.bits, "check", lattice=caps.lattice, bayer=bayer)
+    return merged_recording(raw, exposures_s)
 
 
 def _decoded_alone(recording: Recording) -> Decoded | None:

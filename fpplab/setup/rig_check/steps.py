@@ -20,6 +20,7 @@ from fpplab.diagnosis.causes.saturated import SATURATED
 from fpplab.diagnosis.causes.underexposed import UNDEREXPOSED
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
+from fpplab.setup.live.patterns import as_fine_fringes
 from fpplab.setup.rig_check.devices import device_finding
 from fpplab.setup.rig_check.marker import marker
 from fpplab.setup.rig_check.marker_check import LIMITS as MARKER_LIMITS
@@ -114,13 +115,21 @@ class _Steps:
         return CheckedStep("rate", ok, evidence, remedy, values)
 
     def exposure(self) -> CheckedStep:
-        lit = self._white[self._change >= 0.5 * np.quantile(self._change, 0.95)]
-        level, saturated = float(lit.mean()), float((lit >= 1.0).mean())
+        # The shortest exposure is for what is brightest, the longest for what is darkest.
+        exposures_s = self._plan.exposures
+        white = [self._white]
+        if len(exposures_s) > 1:
+            ends = min(exposures_s), max(exposures_s)
+            white = [self._take_samples(self._uniform([255]), "stepped", exposure_s=each)[0] for each in ends]
+        is_lit = self._change >= 0.5 * np.quantile(self._change, 0.95)
+        level, saturated = float(white[-1][is_lit].mean()), float((white[0][is_lit] >= 1.0).mean())
         evidence = (
             f"white is at {100 * level:.3g} % of full scale, {100 * saturated:.2g} % of its pixels are full"
         )
+        if len(exposures_s) > 1:
+            evidence += f" (at {ends[1]:g} s, and at {ends[0]:g} s)"
         values = {"level": level, "saturated": saturated}
-        if saturated > MARKER_LIMITS.max_saturated or level > LIMITS.max_level:
+        if saturated > MARKER_LIMITS.max_saturated or (level > LIMITS.max_level and len(white) == 1):
             return CheckedStep("exposure", False, evidence, SATURATED.remedy, values)
         if level < LIMITS.min_level:
             advice = f"{UNDEREXPOSED.remedy}; by the factor {LIMITS.good_level / level:.2g}"
@@ -129,10 +138,10 @@ class _Steps:
 
     def focus(self) -> CheckedStep:
         caps = self._rig.projector.caps
-        finest = max(self._plan.fringes, key=lambda fringe: fringe.stripes)
-        of_set = [n for n, (k, _, _) in enumerate(self._plan.steps()) if self._plan.fringes[k] is finest]
-        patterns = make_patterns(self._plan, caps.size, caps.lattice)
-        frames = self._take_samples([patterns[n] for n in of_set], "stepped")
+        plan = self._plan.fringe_part or as_fine_fringes(self._plan, caps.size)
+        finest = max(plan.fringes, key=lambda fringe: fringe.stripes)
+        alone = plan.model_copy(update={"fringes": (finest,), "guided_axis": None})
+        frames = self._take_samples(make_patterns(alone, caps.size, caps.lattice), "stepped")
         lit = self._change >= 0.5 * np.quantile(self._change, 0.95)
         # Of shifts by equal steps the standard deviation is the amplitude over the root of 2.
         half = self._change[lit] / 2
@@ -160,12 +169,14 @@ class _Steps:
         dead_s = rig.file.camera.dead_s(settings.exposure_s)
         return pulse_timing(rig.camera, rig.projector, patterns, settings.exposure_s, dead_s, gap_s)
 
-    def _take_samples(self, patterns: Sequence[Pattern], trigger: str, gap_s: float = 0.0) -> Floats:
+    def _take_samples(
+        self, patterns: Sequence[Pattern], trigger: str, gap_s: float = 0.0, exposure_s: float | None = None
+    ) -> Floats:
         """Samples of the frames that came, as shares of full scale: (frames, rows, columns)."""
         rig = self._rig
         recover_camera(rig)
         plan = self._plan.model_copy(update={"trigger": trigger})
-        settings = rig.camera_settings(plan.exposure_s, plan.bits)
+        settings = rig.camera_settings(exposure_s or plan.exposure_s, plan.bits)
         frames: list[Floats] = []
         lost = (DeviceTimeoutError, FrameLossError) if trigger == "triggered" else ()
         with closing(expose(rig, patterns, settings, plan, gap_s)) as shots, suppress(*lost):

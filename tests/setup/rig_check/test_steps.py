@@ -1,6 +1,6 @@
 """What a single step concludes from the frames that it has taken."""
 
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,3 +18,19 @@ def test_the_level_is_of_pixels_at_least_half_as_bright_as_the_brightest(grey: f
     found = steps.exposure()
     assert found.values["level"] == pytest.approx(level)
     assert found.ok == (LIMITS.min_level <= level <= LIMITS.max_level)
+
+
+@pytest.mark.parametrize(("short", "long", "ok"), [(0.5, 1.0, True), (1.0, 1.0, False), (0.05, 0.2, False)])
+def test_of_several_exposures_the_shortest_must_not_saturate_and_the_longest_not_be_dark(
+    monkeypatch: pytest.MonkeyPatch, short: float, long: float, ok: bool
+) -> None:
+    plan = PLAN.model_copy(update={"exposures_s": (0.08, 0.002, 0.02)})
+    steps, levels = _Steps(cast(Rig, None), plan), {0.002: short, 0.08: long}
+    steps._white = steps._change = np.full((1, 100), 0.8)
+
+    def taken(_: _Steps, patterns: Any, trigger: str, *, exposure_s: float) -> Any:
+        return np.full((1, 1, 100), levels[exposure_s])
+
+    monkeypatch.setattr(_Steps, "_take_samples", taken)
+    monkeypatch.setattr(_Steps, "_uniform", lambda *_: [])
+    assert steps.exposure().ok is ok

@@ -163,6 +163,18 @@ def test_codes_of_other_kinds_are_labelled_too(tmp_path: Path) -> None:
         assert len(sample.get("absolute_phase", [])) == names
 
 
+@pytest.mark.whole
+def test_several_exposures_are_merged_for_what_is_measured(tmp_path: Path) -> None:
+    plan = PLAN.model_copy(update={"exposures_s": (0.04, 0.01), "exposure_s": 0.02})
+    with opened(tmp_path, samples=1, plan=plan) as maker:
+        sample, record = maker.sample(0)
+    frames = sample["frames"].astype(float)
+    assert len(frames) == 2 * PLAN.images
+    assert sample["exposure_s"] == record["scene"]["exposure_s"]
+    assert frames[: PLAN.images].mean() > 1.5 * frames[PLAN.images :].mean()
+    check_sample(sample, 8)
+
+
 def test_labels_are_those_of_an_independent_ray_caster() -> None:
     """A box on a plate, with shadows, through two distorted lenses; away from edges every pixel."""
     of = world()
