@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from fpplab.core.errors import ConfigError
@@ -28,6 +29,10 @@ class BoundLimits:
     """What the bound that noise sets says of candidates, before any is measured."""
 
     drawn: int = 2000  # candidates that are rated (chosen: some seconds)
+    changed: int = 2000  # that differ from the best of those in one or two values each (chosen: as many)
+    rounds: int = 10  # in which they are changed (chosen)
+    beside: tuple[float, float] = (0.8, 1.3)  # seconds of half of the seeds, as multiples of the quickest
+    # that measures as well as the start (chosen)
     end_share: float = 0.7  # chance that a value is an end of its range, where optima often are (chosen)
     noise: float = 0.02  # of a grey level at the start's exposure, as a share of the modulation (chosen)
     wrong_order_chance: float = 1e-4  # beyond which a candidate is left out (chosen: outliers outweigh noise)
@@ -120,29 +125,74 @@ def _search_for_seed_points(runner: CandidateRunner, count: int) -> list[Point]:
     return list(dict.fromkeys(point for point in singles if runner.is_feasible(point)))
 
 
+_Rated = tuple[float, float, Point]  # seconds, bound of the noise in px, and the point
+
+
 def _points_by_the_bound(runner: CandidateRunner, count: int) -> list[Point]:
     """Points that have the lowest bound of noise for their seconds, up to those of the start."""
     space, random = runner.space, np.random.default_rng(runner.space.problem.seeds[0])
     drawn = space.of_group("steps", "stripes", "codes", "light")
-    rated: list[tuple[float, float, Point]] = []
-    for _ in range(BOUND.drawn):
-        share = random.random(len(space.parameters))
+
+    def varied(point: Point, places: NDArray[np.bool_]) -> Point:
+        share = random.random(len(point))
         share = np.where(random.random(len(share)) < BOUND.end_share, np.rint(share), share)
-        point = tuple(
-            parameter.value_at(float(share[i])) if i in drawn else space.start[i]
+        return tuple(
+            parameter.value_at(float(share[i])) if places[i] else point[i]
             for i, parameter in enumerate(space.parameters)
         )
-        candidate = space.candidate(point)
-        seconds = candidate.seconds(space.limits.dead_time_s)
-        if space.refusal(candidate) is None and (bound := _noise_bound(runner, candidate)) < np.inf:
-            rated.append((seconds, bound, point))
+
+    may_vary = np.isin(np.arange(len(space.parameters)), drawn)
+    rated = _rated(runner, [varied(space.start, may_vary) for _ in range(BOUND.drawn)])
     latest = runner.start.candidate.seconds(space.limits.dead_time_s)
-    front: list[tuple[float, float, Point]] = []
+    front = _least_noise(rated, latest)
+    for _ in range(BOUND.rounds if front else 0):
+        changed = []
+        for k in random.integers(0, len(front), BOUND.changed // BOUND.rounds):
+            chosen = random.choice(drawn, min(2, len(drawn)), replace=False)
+            changed.append(varied(front[k][2], np.isin(np.arange(len(space.parameters)), chosen)))
+        front = _least_noise([*front, *_rated(runner, changed)], latest)
+    equal_s = _quickest_as_good(runner, front)
+    beside = [each for each in front if BOUND.beside[0] <= each[0] / equal_s <= BOUND.beside[1]]
+    return list(dict.fromkeys([*_spread(front, count - count // 2), *_spread(beside, count // 2)]))
+
+
+def _quickest_as_good(runner: CandidateRunner, front: Sequence[_Rated]) -> float:
+    """Seconds of the quickest of these that measures as well as the start, by bisection."""
+    # The bound knows noise alone, so that its own answer is too quick.
+    ranking, low, high, trials = runner.ranking, 0, len(front), list[MeasuredCandidate]()
+    while low < high:
+        middle = (low + high) // 2
+        trials += runner.measure([front[middle][2]])
+        if ranking.rank_by_distance(trials[-1]) <= ranking.rank_by_distance(runner.start):
+            high = middle
+        else:
+            low = middle + 1
+    if trials:
+        runner.epoch("bisection", trials)
+    return front[low][0] if low < len(front) else runner.start.figures.seconds
+
+
+def _rated(runner: CandidateRunner, points: Sequence[Point]) -> list[_Rated]:
+    space, rated = runner.space, list[_Rated]()
+    for point in dict.fromkeys(points):
+        candidate = space.candidate(point)
+        if space.refusal(candidate) is None and (bound := _noise_bound(runner, candidate)) < np.inf:
+            rated.append((candidate.seconds(space.limits.dead_time_s), bound, point))
+    return rated
+
+
+def _least_noise(rated: Sequence[_Rated], latest_s: float) -> list[_Rated]:
+    """Those of which no quicker one has as little noise, the quickest first."""
+    front: list[_Rated] = []
     for each in sorted(rated):
-        if each[0] <= latest and (not front or each[1] < front[-1][1]):
+        if each[0] <= latest_s and (not front or each[1] < front[-1][1]):
             front.append(each)
-    at = np.unique(np.linspace(0, len(front) - 1, min(count, len(front))).round().astype(int))
-    return [front[k][2] for k in at]
+    return front
+
+
+def _spread(rated: Sequence[_Rated], count: int) -> list[Point]:
+    at = np.unique(np.linspace(0, len(rated) - 1, min(count, len(rated))).round().astype(int))
+    return [rated[k][2] for k in at]
 
 
 def _noise_bound(runner: CandidateRunner, candidate: Candidate) -> float:
