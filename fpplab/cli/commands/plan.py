@@ -156,16 +156,18 @@ def guess_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write the plan that describes images of another program: sets, steps, axes, stripes, signs.
+    """Write the plan that describes images of another program: sets, steps, axes, stripes, signs, bits.
 
     The images must be consecutive sets of phase-shifted sinusoids with equal steps, apart from those listed
-    with --skip. Whatever the images do not show is assumed to be as usual and noted at the top of the plan.
+    with --skip, or Gray code, also with inverses, white and black. Whatever the images do not show is
+    assumed to be as usual and noted at the top of the plan.
 
     Example: `fpplab plan guess images --frames '{index:02d}.png' --projector-size 912 1140 --out p.yaml`
     """
     from fpplab.core.config import dump
     from fpplab.core.files import need_suffix, refuse_existing, write_text
     from fpplab.diagnosis.plan import guess_plan
+    from fpplab.patterns.fringe_sets import FringeSet
     from fpplab.sessions.image_selection import ImageSelection, numbers_of
     from fpplab.sessions.importing import read_images
 
@@ -186,7 +188,12 @@ def guess_command(
     write_text(out, f"# Of the images in {Path(source.title).name}.\n{head}{dump(guess.plan)}")
     for sentence in guess.assumed:
         console.log_status(f"assumed: {sentence}")
-    sets = [{"axis": s.axis, "stripes": s.stripes, "images": s.images} for s in guess.plan.fringes]
+    sets = [
+        {"axis": each.coded_axis, "stripes": each.stripes, "images": each.images}
+        if isinstance(each, FringeSet)
+        else {"axis": each.coded_axis, "kind": each.model_dump()["kind"], "images": each.images}
+        for each in guess.plan.sets
+    ]
     console.print_result(
         {
             "fringes": sets,

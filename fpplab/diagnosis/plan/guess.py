@@ -14,6 +14,7 @@ from fpplab.core.conventions import AXES, Floats, Image, Mask, full_scale, phase
 from fpplab.core.errors import DataError
 from fpplab.diagnosis.plan.check import disagreement, straightened
 from fpplab.diagnosis.plan.edits import Sets, refined_stripes, upright_edit, with_origins
+from fpplab.diagnosis.plan.guess_codes import guess_codes
 from fpplab.diagnosis.plan.limits import GUESS_LIMITS, GuessLimits
 from fpplab.diagnosis.plan.other_patterns import name_other_patterns, sampled_levels
 from fpplab.diagnosis.plan.sample import MIN_STEPS, PhaseSample, gradient_directions
@@ -42,7 +43,12 @@ def guess_plan(
 ) -> PlanGuess:
     """Find a plan that describes images."""
     # frames (height, width); projector_size (width, height) px
-    images = set_sizes(frames, full_scale(bits), limits)
+    try:
+        images = set_sizes(frames, full_scale(bits), limits)
+    except DataError:
+        if (codes := guess_codes(frames, bits, projector_size, limits)) is None:
+            raise
+        return PlanGuess(codes.plan, codes.misfit, codes.assumed)
     sample = PhaseSample.of(frames, images, full_scale(bits))
     if sample is None:
         raise DataError("too few pixels see the fringes of every set; look at the images")

@@ -64,6 +64,9 @@ class GuessLimits:
     """Limits by which images are taken for fringe sets, and stripes for whole numbers."""
 
     pixels: int = 4_000  # pixels that decide what images are, about (chosen)
+    code_pixels: int = 200_000  # pixels that a guessed code is tried on, about (chosen)
+    min_binary_images: int = 3  # from which on images may be of a code (chosen)
+    min_decoded_share: float = 0.5  # of the lit pixels, which a guessed code explains (chosen)
     usual_misfit: float = 0.04  # misfit of a sinusoid, as a share of its modulation (chosen)
     min_squares_per_set: float = 12.0
     """Squares of the usual misfit by which another set must reduce the misfit. Chosen."""

@@ -17,11 +17,9 @@ def name_other_patterns(
 ) -> str | None:
     """Say which images are no sinusoids with equal steps, and what they are."""
     # frames (height, width)
-    levels = lit_levels(frames, full, limits)
+    levels = _relative_levels(frames, full, limits)
     if levels is None:
         return None
-    low, high = levels.min(axis=0), levels.max(axis=0)
-    levels = np.asarray((levels - low) / (high - low))
     kinds = _kinds(levels, limits)
     descriptions = [f"{_listed(numbers)} {text}" for text, numbers in _by_description(kinds).items()]
     if descriptions:
@@ -33,6 +31,22 @@ def name_other_patterns(
             "sinusoids alone suffice; images count from 0"
         )
     return _describe_unequal_steps(levels, sizes, limits)
+
+
+def image_kinds(frames: Sequence[Image], full: int, limits: GuessLimits) -> list[str | None] | None:
+    """Tell of every image whether it is white, black or of two levels; None for others."""
+    # frames (height, width); None where too few pixels change
+    levels = _relative_levels(frames, full, limits)
+    return None if levels is None else _kinds(levels, limits)
+
+
+def _relative_levels(frames: Sequence[Image], full: int, limits: GuessLimits) -> Floats | None:
+    """Levels (K, P) of pixels that change, from the least to the greatest of each."""
+    levels = lit_levels(frames, full, limits)
+    if levels is None:
+        return None
+    low, high = levels.min(axis=0), levels.max(axis=0)
+    return np.asarray((levels - low) / (high - low))
 
 
 def sampled_levels(frames: Sequence[Image], pixels: int) -> Floats:
@@ -55,6 +69,7 @@ def lit_levels(frames: Sequence[Image], full: int, limits: GuessLimits) -> Float
     return np.asarray(levels[:, lit])
 
 
+BINARY = "binary"  # kind of an image of two levels
 STRIPES = "black and white stripes, as of Gray code"
 DESCRIPTIONS = {
     "white": ("is white", "are white"),

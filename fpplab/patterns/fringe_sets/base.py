@@ -112,6 +112,30 @@ class PatternSet(Document):
         """
         return entry
 
+    @classmethod
+    def guessed(
+        cls, images: Sequence[NDArray[np.bool_]], edges: Sequence[int], axis: Axis | None, length: int
+    ) -> dict[str, Any] | None:
+        """Guess a set of the kind from images of two levels.
+
+        Parameters
+        ----------
+        images : sequence of ndarray of bool, (P,) each
+            Whether lit pixels are bright.
+        edges : sequence of int
+            Changes between neighbouring pixels in each image.
+        axis : str or None
+            Along which the images change; None of even light.
+        length : int
+            Of the projector along the axis in px.
+
+        Returns
+        -------
+        dict or None
+            Fields of the set; by default None, as of what has other levels.
+        """
+        return None
+
     @property
     def coded_axis(self) -> Axis | None:
         """The projector axis along which the light changes; None where it is even."""

@@ -1,11 +1,13 @@
 """Even light: white, black or grey images, which tell a pixel's brightest and darkest levels."""
 
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
-from fpplab.core.conventions import Floats
+from fpplab.core.conventions import Axis, Floats
 from fpplab.patterns.fringe_sets.base import LedName, PatternSet
 
 
@@ -20,6 +22,13 @@ class Even(PatternSet):
     gives points their colours where the camera sees none."""
     levels: Annotated[tuple[Annotated[float, Field(ge=0, le=1)], ...], Field(min_length=1, max_length=256)]
     """Light of each image: 1 is white, 0 is black."""
+
+    @classmethod
+    def guessed(
+        cls, images: Sequence[NDArray[np.bool_]], edges: Sequence[int], axis: Axis | None, length: int
+    ) -> dict[str, Any] | None:
+        """Take images without an axis for white and black."""
+        return {"levels": tuple(float(image.mean() > 0.5) for image in images)} if axis is None else None
 
     @property
     def images(self) -> int:

@@ -1,13 +1,13 @@
 """Reflected Gray code: black and white stripes whose levels number the cells along an axis."""
 
-from collections.abc import Iterator
-from typing import Annotated, Literal
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from fpplab.core.conventions import Floats
+from fpplab.core.conventions import Axis, Floats
 from fpplab.patterns.fringe_sets.base import CodeSet
 
 
@@ -36,6 +36,25 @@ class Gray(CodeSet):
 
     least_first: bool = False
     """Whether the finest bit comes first; by default it is the coarsest."""
+
+    @classmethod
+    def guessed(
+        cls, images: Sequence[NDArray[np.bool_]], edges: Sequence[int], axis: Axis | None, length: int
+    ) -> dict[str, Any] | None:
+        """Find inverses and the order of bits; cells are as if the code reached over the projector."""
+        if axis is None:
+            return None
+        half, inverses = len(images) // 2, "none"
+        if len(images) % 2 == 0:
+            if all(_is_inverse(*images[k : k + 2]) for k in range(0, 2 * half, 2)):
+                inverses = "each"
+            elif all(_is_inverse(images[k], images[half + k]) for k in range(half)):
+                inverses = "after"
+        bits = len(images) if inverses == "none" else half
+        own = edges[:: 2 if inverses == "each" else 1][:bits]
+        cell_px = float(max(1, int(np.ceil(length / 2**bits))))
+        code = {"axis": axis, "bits": bits, "cell_px": cell_px, "inverses": inverses}
+        return {**code, "least_first": own[0] > own[-1]}
 
     @property
     def images(self) -> int:
@@ -86,3 +105,7 @@ class Gray(CodeSet):
             needed = int(np.ceil(np.log2(cells)))
             return f"bits' is {self.bits}: {cells} cells of {self.cell_px:g} px need at least {needed}"
         return None
+
+
+def _is_inverse(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> bool:
+    return bool(np.mean(first != second) > 0.9)  # chosen: neighbouring bits of a code differ at half
