@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from fpplab.cli.commands.optimise import _sets_in_short
 from fpplab.core import config
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
@@ -188,3 +189,13 @@ def test_a_plan_found_is_not_overwritten(
 def test_every_search_has_its_study() -> None:
     for name in ("phases", "stripes", "baseline", "pareto"):
         assert Study.load(f"study_{name}.yaml").rig == "any"
+
+
+def test_sets_of_any_kind_are_listed() -> None:
+    sets = [
+        {"kind": "sinusoid", "axis": "x", "stripes": 48.0, "steps": 4},
+        {"kind": "gray", "axis": "x", "bits": 6, "cell_px": 19.0},
+        {"kind": "shifted", "axis": "x", "stripes": 36.5, "shifts_deg": [0, 120]},
+        {"kind": "even", "levels": [1, 0]},
+    ]
+    assert _sets_in_short(sets) == ("48 gray 36.5 even", "4 6 2 2")

@@ -110,6 +110,15 @@ def _study_with_overrides(study: Study, calibration: Path | None, seeds: int | N
     return study.model_copy(update=changed)
 
 
+def _sets_in_short(sets: list[dict[str, Any]]) -> tuple[str, str]:
+    """Stripes or kind of each set of a plan, and its steps, bits or number of images."""
+    stripes = (f"{each['stripes']:g}" if "stripes" in each else str(each["kind"]) for each in sets)
+    lists = ("shifts_deg", "levels", "names")
+    listed = (next((len(each[name]) for name in lists if name in each), 0) for each in sets)
+    counts = (each.get("steps") or each.get("bits") or n for each, n in zip(sets, listed, strict=True))
+    return " ".join(stripes), " ".join(map(str, counts))
+
+
 def _show(result: dict[str, Any]) -> None:
     chosen = [("start", result["initial"]), ("optimum", result["optimum"])]
     chosen += [
@@ -122,8 +131,7 @@ def _show(result: dict[str, Any]) -> None:
         [
             name,
             entry["images"],
-            " ".join(f"{f['stripes']:g}" for f in entry["fringes"]),
-            " ".join(str(f["steps"]) for f in entry["fringes"]),
+            *_sets_in_short(entry["fringes"]),
             "" if entry["stage_mm"] is None else entry["stage_mm"],
             entry["surface_smcd_um"],
             "" if entry["smcd_spread_um"] is None else entry["smcd_spread_um"],
