@@ -46,7 +46,7 @@ class Candidate:
 
     def plan(self, template: Plan) -> Plan:
         changed = {"fringes": self.fringes, "exposure_s": self.exposure_s, "stage_mm": self.stage_mm}
-        return template.model_copy(update=changed)
+        return template.model_copy(update={**changed, "exposures_s": self.exposures_s})
 
 
 def candidate_fields(candidate: Candidate) -> dict[str, Any]:

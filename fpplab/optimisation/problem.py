@@ -50,6 +50,8 @@ class Alternative(Document):
     ranges: Ranges = ()
     """Bounds of numbers of each set, by the names of its fields, such as `{bits: [6, 8]}`; null where all are
     kept."""
+    exposures_s: Annotated[tuple[Positive, ...] | None, Field(min_length=2, max_length=8)] = None
+    """Exposures of every image, in place of the start's and of the one that is searched."""
 
 
 class SpaceFile(Document):

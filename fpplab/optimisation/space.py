@@ -106,12 +106,15 @@ class SearchSpace:
                 sets = [each.model_copy(update={"axis": axis}) for each in sets]
             count = int(values.get("sets", len(sets)))
             sets = sets[:1] + sets[len(sets) - count + 1 :]
+        several = self.problem.space.alternatives[chosen - 1].exposures_s if chosen else None
+        if several:  # then the single one is not used, and must make no other candidate
+            values["exposure_s"] = template.exposure_s
         return Candidate(
             fringes=tuple(sets),
             exposure_s=values.get("exposure_s", template.exposure_s),
             stage_mm=values.get("stage_mm", template.stage_mm),
             convergence_deg=values.get("convergence_deg", template.convergence_deg),
-            exposures_s=template.exposures_s,
+            exposures_s=several or template.exposures_s,
         )
 
     def with_alternative(self, k: int, point: Point | None = None) -> Point:

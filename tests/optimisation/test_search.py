@@ -476,6 +476,18 @@ def test_codes_that_look_alike_are_refused_before_they_are_measured(tmp_path: Pa
     assert any("look alike" in reason for reason in runner.refused)
 
 
+def test_several_exposures_are_an_alternative(tmp_path: Path) -> None:
+    """The single exposure that is searched makes no other candidate of them."""
+    alternative = {"fringes": FRINGES, "exposures_s": [0.01, 0.05]}
+    space = runner_of(tmp_path, space={"exposure_s": [0.01, 0.04], "alternatives": [alternative]}).space
+    assert [p.name for p in space.parameters] == ["alternative", "exposure_s"]
+    assert space.candidate((1, 0.012)) == space.candidate((1, 0.03))
+    chosen, start = space.candidate((1, 0.03)), space.candidate((0, 0.03))
+    assert chosen.seconds(0.0) == pytest.approx(2 * start.seconds(0.0))
+    assert chosen.plan(space.problem.start).exposures_s == (0.01, 0.05)
+    assert start.plan(space.problem.start).exposures == (0.03,)
+
+
 @pytest.mark.parametrize("scope", [SearchScope.PHASES, SearchScope.STRIPES])
 def test_searches_of_one_objective_take_exposures(scope: SearchScope) -> None:
     assert "light" in scope.groups

@@ -15,6 +15,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
+from fpplab.phase.exposures import merged_recording
 from fpplab.sessions.session import Session
 from sim.bench import VirtualBench
 from sim.matching.judging.measured import measured_figures, recorded_figures
@@ -73,10 +74,16 @@ def compare_rigs(rig: Rig, session: Session, item: str, calibration: Calibration
     sampler, plan = rig.simulation.image_part_sampler(), session.plan
     mesh, depth = sampler.mesh(item), session.depth
     size, lattice = session.projector()
-    settings = rig.camera_settings(plan.exposure_s, plan.bits)
-    rows = np.arange(rig.camera.caps.size[1])
-    frames = sampler.frames(item, tuple(make_patterns(plan, size, lattice)), settings, rows, 0)
-    own = Recording(frames, plan, size, settings.bits, f"the twin's {item}")
+    rows, patterns = np.arange(rig.camera.caps.size[1]), make_patterns(plan, size, lattice)
+    several = [rig.camera_settings(each, plan.bits) for each in plan.exposures]
+    frames = [
+        frame
+        for k, (settings, images) in enumerate(zip(several, plan.passes, strict=True))
+        for frame in sampler.frames(item, tuple(patterns[i] for i in images), settings, rows, k)
+    ]
+    bits, bayer = several[0].bits, rig.camera.caps.bayer
+    raw = Recording(frames, plan, size, bits, f"the twin's {item}", lattice=lattice, bayer=bayer)
+    own = merged_recording(raw, plan.exposures)
     calibrations = {"bench": calibration, "twin": sampler.calibration}
     crossed = {("bench", name): measured_figures(session, used, mesh) for name, used in calibrations.items()}
     crossed |= {
