@@ -12,7 +12,7 @@ from typing import Any
 
 from drivers import computer_discovery
 from drivers.dlp4500.sequence import SIZE as LIGHTCRAFTER
-from drivers.dlp4500.transport import PRODUCT, VENDOR
+from drivers.dlp4500.transport import PRODUCT, VENDOR, command_interfaces
 from fpplab.core.extras import MissingExtraError, missing_extra
 from fpplab.devices.discovery import FoundDevice, FoundDevices
 
@@ -178,21 +178,18 @@ def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
 
 
 def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
-    # The controller presents several HID interfaces; only the one that takes commands is listed: number 0, or
-    # -1 where the system reports no number.
     import hid
 
     plugged = [device for device in usb if device.ids == (VENDOR, PRODUCT)]
     result = FoundDevices([], [])
-    for interface in hid.enumerate(VENDOR, PRODUCT):
-        if interface["interface_number"] in (-1, 0):
-            serial = interface["serial_number"] or ""
-            speed = next((d.speed for d in plugged if d.serial == serial or len(plugged) == 1), None)
-            link = _link(f"USB {interface['path'].decode()}", speed)
-            serial_key = {"serial": serial} if serial else {}
-            section = {"backend": LIGHTCRAFTER_DRIVER, "flash": "patterns.yaml", **serial_key}
-            model = interface["product_string"] or "DLPC350"
-            result.devices.append(FoundDevice("projector", model, serial, link, section, BENCH))
+    for interface in command_interfaces(hid):
+        serial = interface["serial_number"] or ""
+        speed = next((d.speed for d in plugged if d.serial == serial or len(plugged) == 1), None)
+        link = _link(f"USB {interface['path'].decode()}", speed)
+        serial_key = {"serial": serial} if serial else {}
+        section = {"backend": LIGHTCRAFTER_DRIVER, "flash": "patterns.yaml", **serial_key}
+        model = interface["product_string"] or "DLPC350"
+        result.devices.append(FoundDevice("projector", model, serial, link, section, BENCH))
     for device in plugged:
         if not device.is_accessible:
             result.missing.append(f"projector {device.label}: this user may not open it; {RULES}")

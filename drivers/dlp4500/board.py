@@ -5,16 +5,20 @@ Commands are sent, awaited, and their effect is verified. Every wait has a time 
 Source: TI's DLPC350 client, GUI and SDK, and what their users report. Not yet tested on a board.
 """
 
+import logging
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 
 from drivers.clock import Clock, Polling
 from drivers.dlp4500 import protocol
-from drivers.dlp4500.layout import Values
+from drivers.dlp4500.layout import Command, Values
 from drivers.dlp4500.protocol import COLOURS, DisplayMode, Run
+from drivers.dlp4500.sequence import SIZE
 from drivers.dlp4500.transport import Link
-from fpplab.core.errors import DeviceError, DeviceTimeoutError, ProtocolError, SettingError
+from fpplab.core.errors import DeviceError, DeviceTimeoutError, ProtocolError, SettingError, StateError
+
+_log = logging.getLogger(__name__)
 
 HARDWARE_FAULTS = {
     "reset_controller_error": "overlapping resets of the mirrors",
@@ -85,7 +89,28 @@ MODE_CHANGE = Polling(step_s=0.1, limit_s=2.0)
 """Of the display mode. TI's GUI asks every 0.1 s and gives up after 0.7 s; the limit is chosen longer."""
 STOPPING = Polling(step_s=0.01, limit_s=2.0)  # of the sequence (chosen: TI's GUI waits without a limit)
 LOCKING = Polling(step_s=0.1, limit_s=1.5)  # of the video signal, as in TI's GUI
+LOAD_TIMING = Polling(step_s=0.01, limit_s=1.0)  # of an image; until it is measured it reads 0 (chosen)
 WAKING = Polling(step_s=0.1, limit_s=5.0)  # from standby: TI's GUI allows 2 s, other clients up to 5 s
+
+
+WHOLE_AREA = {
+    f"{part}_{side}": extent
+    for part in ("crop", "display")
+    for side, extent in (("pixel", 0), ("line", 0), ("pixels", SIZE[0]), ("lines", SIZE[1]))
+}
+"""A frame of the video port as it is on the mirrors."""
+NO_DELAY = {"rising": protocol.ZERO_DELAY_CODE, "falling": protocol.ZERO_DELAY_CODE}
+SETTINGS: tuple[tuple[Command, Values], ...] = (
+    (protocol.LONG_AXIS_FLIP, {"on": 0}),
+    (protocol.SHORT_AXIS_FLIP, {"on": 0}),
+    (protocol.FREEZE, {"on": 0}),
+    (protocol.INVERT, {"on": 0}),
+    (protocol.LED_POLARITY, {"inverted": 0}),
+    *((delays, NO_DELAY) for delays in protocol.LED_DELAYS.values()),
+    (protocol.TRIGGER_IN_1, {"delay": 0}),
+    (protocol.TRIGGER_IN_2, {"inverted": 0}),
+)
+"""What other programs may have set that alters the light or when it comes, with the values of this driver."""
 
 
 def delay_code(us: float) -> int:
@@ -207,10 +232,19 @@ class ProjectorBoard:
 
     # --- input and triggers
 
-    def reset_image_options(self) -> None:
-        """Reset the settings of earlier users: images are not flipped, inverted or frozen."""
-        for command in (protocol.LONG_AXIS_FLIP, protocol.SHORT_AXIS_FLIP, protocol.FREEZE, protocol.INVERT):
-            self.link.write(command, on=0)
+    def reset_settings(self) -> None:
+        """Undo what other programs have set; the LEDs must be off, as polarity may invert their currents."""
+        for command, values in SETTINGS:
+            self._reset(command, values)
+        if self.status().main["gamma"]:  # TI's client for this board does not know the command
+            self._reset(protocol.GAMMA, {"table": 0, "on": 0})
+
+    def _reset(self, command: Command, values: Values) -> None:
+        with suppress(ProtocolError):  # what it was is only told; a board need not answer
+            before = self.link.read(command)
+            if before != values:
+                _log.info("%s: %s was %s, is set to %s", self._name, command.name, before, values)
+        self.link.write(command, **values)
 
     def set_trigger_out_1(self, inverted: bool, rising_us: float, falling_us: float) -> None:
         """Configure trigger output 1, which is active while a pattern is shown."""
@@ -229,6 +263,13 @@ class ProjectorBoard:
         """Change between video and pattern mode, and wait for the change."""
         if self._mode() == mode:
             return
+        if mode is DisplayMode.VIDEO and self.is_locked():
+            raise StateError(
+                self._name,
+                "display mode",
+                "it is in pattern mode with a signal on its video port, and may freeze on leaving that mode",
+                "unplug the HDMI cable, and try again; or switch the projector off and on",
+            )
         if mode is DisplayMode.PATTERN:  # with a test pattern selected the USB link was lost on the way back
             self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
         self.link.write(protocol.DISPLAY_MODE, mode=int(mode))
@@ -237,14 +278,25 @@ class ProjectorBoard:
         )
 
     def select_video(self) -> None:
-        """Select 24-bit frames from the parallel port (HDMI), and wait until their signal is locked."""
-        # To be called before patterns from the video port are prepared.
-        self.set_display_mode(DisplayMode.VIDEO)
+        """Enter pattern mode with 24-bit frames from the parallel port (HDMI), whose signal is locked."""
+        # To be called before patterns from the video port are prepared. TI's GUI wants the signal locked
+        # before it enters pattern mode. A board that is in this mode with a signal stays in it: users report
+        # that the DLPC350 freezes on repeated changes to video mode (TI's forum, 968244).
         self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
         self.link.write(protocol.PORT_CLOCK, clock=0)
         self.link.write(protocol.PIXEL_FORMAT, format=0)
         self.link.write(protocol.CHANNEL_SWAP, **BOARD_CHANNEL_SWAP)
-        # TI's GUI wants the signal locked before it enters pattern mode.
+        if self._mode() == DisplayMode.PATTERN:
+            with suppress(DeviceTimeoutError):
+                self._await_lock()
+                self._reset(protocol.AREA, WHOLE_AREA)
+                return
+        self.set_display_mode(DisplayMode.VIDEO)
+        self._await_lock()
+        self._reset(protocol.AREA, WHOLE_AREA)
+        self.set_display_mode(DisplayMode.PATTERN)
+
+    def _await_lock(self) -> None:
         self._poll_until(self.is_locked, "video", "no signal is locked on the video port", LOCKING)
 
     def show_test_pattern(self, name: str) -> None:
@@ -267,7 +319,15 @@ class ProjectorBoard:
     def image_load_us(self, image: int) -> int:
         """Measure the load time of a flash image."""
         self.link.write(protocol.IMAGE_LOAD_TIMING, first=image, count=1)
-        ticks = self.link.read(protocol.IMAGE_LOAD_TIMING)["ticks"]
+        ticks = 0
+
+        def measured() -> bool:
+            nonlocal ticks
+            ticks = self.link.read(protocol.IMAGE_LOAD_TIMING)["ticks"]
+            return ticks > 0
+
+        reason = f"the load time of image {image} still reads 0"
+        self._poll_until(measured, "image load timing", reason, LOAD_TIMING)
         return -(-1000 * ticks // protocol.TICKS_PER_MS)
 
     def stop(self) -> None:

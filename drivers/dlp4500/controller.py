@@ -59,16 +59,15 @@ class Controller(ProjectorBoard):
         # Warnings do not keep a sequence from running: patterns from the video port always have that of
         # missing black. They are stored, to be reported if it does not run.
         self.link.write(protocol.VALIDATE)
-        result = self.link.read(protocol.VALIDATE)
+        result = self.link.read(protocol.VALIDATE)  # not judged: it may be that of the sequence before
 
         def done() -> bool:
             nonlocal result
             result = self.link.read(protocol.VALIDATE)
             return not result["busy"]
 
-        if result["busy"]:
-            self._clock.sleep(VALIDATION.step_s)
-            self._poll_until(done, "validation", "does not end", VALIDATION)
+        self._clock.sleep(VALIDATION.step_s)
+        self._poll_until(done, "validation", "does not end", VALIDATION)
         self._warnings = validation_messages(result, VALIDATION_WARNINGS)
         if messages := validation_messages(result, VALIDATION_ERRORS):
             raise ProtocolError(self._name, "validation", "; ".join(messages), "change the plan's exposure")
@@ -91,7 +90,10 @@ class Controller(ProjectorBoard):
         if faults is None or (is_short and not faults):
             return
         reasons = ["the sequence does not run", *faults, *self._warnings]
-        raise ProtocolError(self._name, "start", "; ".join(reasons), "try it again")
+        remedy = "try it again"
+        if program.source is Source.VIDEO:
+            remedy += "; if it fails again, switch the projector off and on with its HDMI cable plugged in"
+        raise ProtocolError(self._name, "start", "; ".join(reasons), remedy)
 
     def _order_start(self) -> float:
         """Order the start, and give the s until it was acknowledged."""

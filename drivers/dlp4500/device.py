@@ -81,7 +81,7 @@ class Options(Document):
     led_limits: LedLevels = LedLevels(red=255, green=255, blue=255)
     """Highest level of each LED that its cooling allows; higher `led_levels` are refused."""
     led_inverted: bool = True
-    """Whether the board takes 255 for off and 0 for full, as the evaluation module does."""
+    """Whether the board takes 255 for off and 0 for full at normal polarity, as evaluation modules do."""
     trigger_out_1: PatternTriggerOut = PatternTriggerOut()
     """Output that is active while a pattern is shown; it triggers the camera."""
     trigger_out_2: TriggerOut = TriggerOut()
@@ -179,7 +179,7 @@ class Dlp4500(Projector):
         controller.check_health()
         controller.go_dark()
         self._storage.open(controller)
-        controller.reset_image_options()
+        controller.reset_settings()
         controller.set_led_levels(options.led_levels.model_dump(), options.led_inverted)
         first, second = options.trigger_out_1, options.trigger_out_2
         controller.set_trigger_out_1(first.inverted, first.rising_us, first.falling_us)

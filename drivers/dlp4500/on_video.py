@@ -13,7 +13,6 @@ from drivers.clock import Clock
 from drivers.display.window import Display
 from drivers.dlp4500.controller import Controller
 from drivers.dlp4500.packing import Planes, assign_slots, pack_images
-from drivers.dlp4500.protocol import DisplayMode
 from drivers.dlp4500.sequence import MIN_EXPOSURE_US, Slot, pattern_numbers, video_program
 from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.devices import PatternLoads
@@ -63,7 +62,6 @@ class OnVideo:
         """Open the display, and have the projector synchronise to its signal before pattern mode."""
         self._display.open()
         board.select_video()
-        board.set_display_mode(DisplayMode.PATTERN)
         self.load(board, ())
 
     def close(self) -> None:

@@ -246,6 +246,7 @@ TRIGGER_OUT_2 = _register(
     _record(RegisterField("inverted", 8, range(2)), RegisterField("rising", 8, range(MAX_DELAY_CODE + 1))),
 )
 TRIGGER_IN_1 = _register("trigger input 1", 0x1A35, _record(RegisterField("delay", 32, range(1 << 19))))
+TRIGGER_IN_2 = _register("trigger input 2", 0x1A36, _flag("inverted"))
 
 # --- pattern sequence
 

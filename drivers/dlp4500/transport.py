@@ -56,11 +56,23 @@ def load_hidapi(name: str) -> HidModule:
     return module
 
 
+def command_interfaces(hid: HidModule) -> list[dict[str, Any]]:
+    """List the interface of each connected board that takes commands."""
+    # macOS numbers none: of two with one serial number the first path is taken (not tested on a board).
+    boards: dict[str, dict[str, Any]] = {}
+    for interface in sorted(hid.enumerate(VENDOR, PRODUCT), key=lambda listed: listed["path"]):
+        if interface["interface_number"] == INTERFACE:
+            boards[interface["path"]] = interface
+        elif interface["interface_number"] == -1:
+            boards.setdefault(interface["serial_number"] or "", interface)
+    return list(boards.values())
+
+
 def connect(hid: HidModule, name: str, serial: str | None) -> tuple[HidDevice, str]:
     interfaces = [
         (d["path"], d["serial_number"] or "")
-        for d in hid.enumerate(VENDOR, PRODUCT)
-        if d["interface_number"] in (-1, INTERFACE) and serial in (None, d["serial_number"])
+        for d in command_interfaces(hid)
+        if serial in (None, d["serial_number"])
     ]
     if not interfaces:
         with_serial = f" with serial number {serial}" if serial is not None else ""

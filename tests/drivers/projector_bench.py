@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import Dlp4500
@@ -15,6 +16,7 @@ from drivers.emulators.dlpc350 import (
     STRICT,
     Dlpc350,
     Dlpc350Policy,
+    EmulatedDisplay,
     EmulatedHid,
     FlashImage,
     Pulse,
@@ -24,6 +26,7 @@ from fpplab.core import config
 from fpplab.patterns.fringes import Pattern
 
 WIDTH, HEIGHT = SIZE
+FRAME_S = 1 / 60  # of the video port
 
 
 def put(image: FlashImage, pattern: Pattern, number: int) -> None:
@@ -102,3 +105,26 @@ class Bench:
             seen.append(self.grey())
             self.clock.sleep(step_s)
         return seen
+
+
+class VideoBench(Bench):
+    """The projector with a computer's display on its video port. frames: how many it was given."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.frames = 0
+        bench = self
+
+        class Counting(EmulatedDisplay):
+            def show(self, frame: NDArray[np.uint8]) -> None:
+                bench.frames += 1
+                super().show(frame)
+
+        self.display = Counting(self.controller, FRAME_S)
+
+    def projector(self, **options: Any) -> Dlp4500:
+        return Dlp4500("projector", {"video": {"display": 0}, **options}, self)
+
+    def pulsed(self) -> list[float]:
+        """When output 1 rose."""
+        return [pulse.rise_s for pulse in self.pulses if pulse.output == 1]

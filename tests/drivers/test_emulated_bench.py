@@ -126,7 +126,7 @@ def test_dark_between_patterns_dims_them(folder: Path) -> None:
     """Three images: each has to be loaded while the one before it is shown, which takes 30 ms here."""
     wanted = expected(*(mixed((i, 0.5)) for i in range(8)))
     with rig_file(folder) as rig:
-        bench_of(rig).controller.load_s = [0.06] * 3
+        bench_of(rig).controller.load_s = [0.06] * len(bench_of(rig).controller.images)
         frames = played(rig, 8, exposure_s=0.02, play_s=0.01)
         for frame, image in zip(frames, wanted, strict=True):
             assert_within_rounding(frame, image)

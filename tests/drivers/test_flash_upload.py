@@ -310,6 +310,12 @@ def test_preparing_changes_nothing():
     assert np.array_equal(bench.flash(), UNTOUCHED)
 
 
+def test_an_identity_of_zeros_is_read_again():
+    bench = Bench(MAKER, Dlpc350Policy(blank_identities=3))
+    with boot_loader_session(bench.link, bench.clock, "projector") as loader:
+        assert plan_upload(BUILT, loader).sectors
+
+
 def test_another_flash_is_refused(monkeypatch):
     monkeypatch.setattr("drivers.emulators.dlpc350.loader._PART", 0x2201)
     bench = Bench(MAKER)

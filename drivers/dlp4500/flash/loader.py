@@ -50,6 +50,7 @@ _CHECKSUM, _MANUFACTURER, _DEVICE = 0x00, 0x0C, 0x0D
 EVM_FLASH = 0x0020, 0x227E  # manufacturer and device id of the flash on the evaluation module
 
 FLASH_BUSY = Polling(step_s=0.01, limit_s=30.0)  # for one sector (chosen; TI's sources give no figure)
+IDENTITY = Polling(step_s=0.05, limit_s=1.0)  # of the flash: zeros are not believed at once (chosen)
 RESTART = Polling(step_s=0.25, limit_s=15.0)  # until the device reappears on USB; TI's SDK waits 10 s
 
 Connect = Callable[[], Link]  # opens a link to the projector, whichever program it runs
@@ -68,7 +69,11 @@ class BootLoaderLink:
     def identify(self) -> None:
         """Check the type of the flash and select the algorithm that writes it."""
         self._wait("identify")  # an interrupted upload may have left it busy
-        identity = self._read_number(_MANUFACTURER), self._read_number(_DEVICE)
+        for _ in range(round(IDENTITY.limit_s / IDENTITY.step_s)):
+            identity = self._read_number(_MANUFACTURER), self._read_number(_DEVICE)
+            if all(identity):
+                break
+            self._clock.sleep(IDENTITY.step_s)
         if identity != EVM_FLASH:
             raise DeviceError(
                 self.name,

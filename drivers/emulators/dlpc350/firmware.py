@@ -25,6 +25,7 @@ from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350.engine import ANSWERED_ASLEEP, FIRMWARE, SEQUENCE_COMMANDS, TAG, LightEngine
 from drivers.emulators.dlpc350.sequencer import SequenceTables, delay_s
 from drivers.emulators.dlpc350.validation import validate_sequence
+from drivers.emulators.dlpc350.video import region
 
 _VSYNC_MODES = (TriggerMode.VSYNC, TriggerMode.VSYNC_VARIABLE)
 _VARIABLE_MODES = (TriggerMode.INTERNAL_VARIABLE, TriggerMode.VSYNC_VARIABLE)
@@ -39,7 +40,7 @@ class Dlpc350(LightEngine):
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
         self.advance()
-        if message.flags & DESTINATION and not self.policy.answers_other_destinations:
+        if self.frozen or (message.flags & DESTINATION and not self.policy.answers_other_destinations):
             return None
         number = int.from_bytes(message.payload[:2], "little")
         flags, data = message.flags, b""
@@ -48,7 +49,7 @@ class Dlpc350(LightEngine):
             self.executed.append(number)
         except (CommandRejected, ValueError):
             flags |= ERROR
-        if not message.flags & REPLY_WANTED:
+        if self.frozen or not message.flags & REPLY_WANTED:
             return None
         waking = number == protocol.POWER.number and not message.flags & READ and self._awake_at_s > 0
         if waking and self.policy.loses_wake_acknowledgement:
@@ -108,7 +109,9 @@ class Dlpc350(LightEngine):
             protocol.POWER: lambda: {"standby": int(self.is_asleep())},
             protocol.DISPLAY_MODE: lambda: {"mode": self.mode},
             protocol.SEQUENCE: lambda: {"run": self.sequencer.state},
-            protocol.IMAGE_LOAD_TIMING: lambda: {"ticks": self._timing},
+            protocol.IMAGE_LOAD_TIMING: lambda: {
+                "ticks": self._timing if self.clock.now() >= self._timed_s else 0
+            },
             protocol.VIDEO_SIGNAL: self._video_signal,
             protocol.VALIDATE: self._validation,
         }
@@ -156,6 +159,9 @@ class Dlpc350(LightEngine):
         return signal
 
     def _validation(self) -> Values:
+        if self._stale_reads:
+            self._stale_reads -= 1
+            return self._last_result
         if self._is_validating():
             return dict.fromkeys(self._validation_result, 0) | {"busy": 1}
         return self._validation_result
@@ -207,6 +213,7 @@ class Dlpc350(LightEngine):
             protocol.SOFTWARE_RESET: lambda values: self._reset(),
             protocol.DISPLAY_MODE: self._set_mode,
             protocol.SEQUENCE: self._order_run,
+            protocol.AREA: self._set_area,
             protocol.IMAGE_LOAD_TIMING: self._time_images,
             protocol.VARIABLE_DATA: self._fill_variable,
             protocol.VALIDATE: lambda values: self._validate(),
@@ -230,9 +237,21 @@ class Dlpc350(LightEngine):
         mode = DisplayMode(values["mode"])
         if mode is not self._next_mode[0]:
             self._was_locked = self._is_locked()
+            leaves_pattern = mode is DisplayMode.VIDEO and self._was_locked
+            self.frozen = leaves_pattern and self._chances.random() < self.policy.freeze_chance
             self.sequencer.stop()
             self._unvalidated = True
             self._next_mode = (mode, self.clock.now() + self.policy.mode_change_s)
+
+    def _set_area(self, values: Values) -> None:
+        sides = [
+            (side, size)
+            for part in ("crop", "display")
+            for side, size in zip(region(values, part), SIZE[::-1], strict=True)
+        ]
+        if any(side.start == side.stop or side.stop > size for side, size in sides):
+            raise CommandRejected
+        self._registers[protocol.AREA.number] = values
 
     def _order_run(self, values: Values) -> None:
         order, now = Run(values["run"]), self.clock.now()
@@ -264,6 +283,7 @@ class Dlpc350(LightEngine):
         busy = self.sequencer.running and self._is_from_flash()
         if busy or not count or first + count > len(self.images):
             raise CommandRejected
+        self._timed_s = self.clock.now() + self.policy.load_timed_s
         self._timing = round(sum(self.load_s[first : first + count]) * 1e3 * protocol.TICKS_PER_MS)
 
     def _open(self) -> Mailbox:
@@ -327,6 +347,7 @@ class Dlpc350(LightEngine):
             None if flash else 1e6 * (self.video.vsync_s if self.video else 0.0),
             self.policy.accepts_a_gap_of_230_us,
         )
+        self._last_result, self._stale_reads = self._validation_result, self.policy.stale_validations
         self._validation_result = result | {"busy": 0}
         self._validated_s = self.clock.now() + self.policy.validation_s
         self._ignored_starts = self.policy.ignored_starts

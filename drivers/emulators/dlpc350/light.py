@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from drivers.dlp4500.sequence import bit_planes
 from fpplab.core.conventions import Floats
 
+GAMMA_TABLE = np.rint(255.0 * (np.arange(256) / 255.0) ** 2.2).astype(np.uint8)
+"""What gamma correction makes of grey levels (chosen: TI does not tell its tables)."""
+
 FlashImage = NDArray[np.uint8]  # (height, width, 3), uint8: the eight bit planes each of green, red and blue
 
 
@@ -23,11 +26,13 @@ class ProjectedLight:
     inverted: bool  # whether grey levels are inverted
     levels: Mapping[str, float]  # levels 0 … 1 of the LEDs that are on, by colour
     image: int | None  # index of the flash image or video frame; None in video mode
+    gamma: bool = False  # whether gamma correction bends the grey levels
 
     @cached_property
     def grey(self) -> NDArray[np.uint8]:
         """Grey levels, uint8 (height, width), 255 for a mirror that is always on."""
-        return grey_levels(self.content, self.depth, self.number, self.inverted)
+        grey = grey_levels(self.content, self.depth, self.number, self.inverted)
+        return GAMMA_TABLE[grey] if self.gamma else grey
 
     def brightness(self) -> Floats:
         # returns (height, width)

@@ -26,7 +26,7 @@ class BootLoader:
     def __init__(self, flash: Flash, clock: Clock, policy: Dlpc350Policy) -> None:
         self._flash, self._clock, self._policy = flash, clock, policy
         self._address = self._size = self._written = self._checksum = 0
-        self._busy_until_s = 0.0
+        self._busy_until_s, self._blanks = 0.0, policy.blank_identities
         self._erasing: int | None = None
         self.exit_requested = False
 
@@ -58,6 +58,9 @@ class BootLoader:
         values = {0x00: self._checksum, 0x0C: _MANUFACTURER, 0x0D: _PART}
         if number != _READ_STATUS or len(data) != 1 or data[0] not in values:
             raise CommandRejected
+        if data[0] != 0x00 and self._blanks:
+            self._blanks -= 1
+            values[data[0]] = 0
         status = _BUSY if self._is_busy() else 0
         return bytes([status, 0, 0, 0, 0, 0]) + values[data[0]].to_bytes(4, "little") + bytes(6)
 
@@ -164,7 +167,7 @@ class FlashedDlpc350(Dlpc350):
     def answer(self, message: UsbMessage) -> UsbMessage | None:
         """Carry out a message, as the application or as the boot loader."""
         if self.loader is None:
-            if int.from_bytes(message.payload[:2], "little") != ENTER:
+            if self.frozen or int.from_bytes(message.payload[:2], "little") != ENTER:
                 return super().answer(message)
             self.loader = BootLoader(self.flash, self.clock, self.policy)
             self.on_restart(self.policy.reset_s)

@@ -7,6 +7,8 @@ import numpy as np
 
 from drivers.clock import ROUNDING_S, Clock
 from drivers.display.window import VideoFrame
+from drivers.dlp4500.board import WHOLE_AREA
+from drivers.dlp4500.layout import Values
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350.light import FlashImage
 
@@ -40,6 +42,24 @@ def apply_channel_swap(frame: VideoFrame, swap: int, letter_is_input: bool) -> F
     # frame (height, width, 3); returns (height, width, 3)
     channels = [PORT_CHANNELS.index(letter) for letter in CHANNEL_ORDERS[swap]]
     return frame[..., channels if letter_is_input else np.argsort(channels)]
+
+
+def region(area: Values, part: str) -> tuple[slice, slice]:
+    """Return the rows and columns of the cropped or of the displayed region."""
+    top, left, lines, pixels = (area[f"{part}_{key}"] for key in ("line", "pixel", "lines", "pixels"))
+    return slice(top, top + lines), slice(left, left + pixels)
+
+
+def apply_area(frame: FlashImage, area: Values) -> FlashImage:
+    """Return a frame whose cropped region fills the displayed one; the rest is black."""
+    # frame (height, width, 3); returns (height, width, 3)
+    if area == WHOLE_AREA:
+        return frame
+    shown, cropped = np.zeros_like(frame), frame[region(area, "crop")]
+    height, width, _ = shown[region(area, "display")].shape
+    rows, columns = (np.arange(n) * m // n for n, m in zip((height, width), cropped.shape[:2], strict=True))
+    shown[region(area, "display")] = cropped[np.ix_(rows, columns)]
+    return shown
 
 
 class VideoReceiver(Protocol):

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.dlp4500 import Dlp4500, protocol
 from drivers.dlp4500.sequence import Slot
-from drivers.emulators.dlpc350 import Dlpc350Policy
+from drivers.emulators.dlpc350 import STRICT, Dlpc350Policy
 from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
@@ -290,8 +290,8 @@ def test_leds_follow_the_users_scale(bench: Bench) -> None:
         assert wire == {"red": 0, "green": 255, "blue": 204}
 
 
-def test_a_board_that_does_not_invert(bench: Bench) -> None:
-    bench.controller._registers[protocol.LED_POLARITY.number] = {"inverted": 1}
+def test_a_board_that_does_not_invert(tmp_path: Path) -> None:
+    bench = Bench(greys(2), tmp_path, replace(STRICT, leds_active_low=False))
     with bench.projector(led_inverted=False, led_levels={"red": 255}) as projector:
         projector.load(bench.patterns)
         projector.show(0)

@@ -62,6 +62,7 @@ WRITTEN: dict[int, tuple[dict[str, int], str]] = {
     0x1A07: ({"red": 1, "green": 0, "blue": 1, "sequenced": 1}, "0d"),
     0x0B01: ({"red": 0x97, "green": 0x78, "blue": 0x7D}, "97 78 7d"),
     0x1A05: ({"inverted": 1}, "01"),
+    0x1A36: ({"inverted": 1}, "01"),
     0x1A1F: ({"rising": 0xBB, "falling": 0}, "bb 00"),
     0x1A20: ({"rising": 1, "falling": 2}, "01 02"),
     0x1A21: ({"rising": 3, "falling": 0xFF}, "03 ff"),

@@ -12,6 +12,7 @@ from drivers.emulators.dlpc350 import Dlpc350Policy, UsbFault, Video
 from fpplab.core.errors import (
     DeviceTimeoutError,
     ProtocolError,
+    StateError,
 )
 from tests.drivers.projector_bench import Bench, grey_of, greys
 
@@ -161,6 +162,9 @@ def test_patterns_from_the_video_port(bench: Bench, projector: Dlp4500) -> None:
     bench.clock.sleep(frame_s - bench.clock.now() % frame_s)
     assert bench.watched(4, frame_s / 2) == [grey_of(bench.patterns[i]) for i in (0, 2, 0, 2)]
     assert bench.controller.sequencer.state is Run.START
+    with pytest.raises(StateError, match="may freeze on leaving that mode; unplug the HDMI cable"):
+        board.set_display_mode(DisplayMode.VIDEO)
+    bench.controller.video.locked = False
     board.set_display_mode(DisplayMode.VIDEO)
     assert bench.controller.sequencer.state is Run.STOP
 
@@ -178,3 +182,21 @@ def test_a_refused_table_leaves_the_mailbox_closed(bench: Bench, projector: Dlp4
             writes += 1
         assert bench.controller._open() == 0
     assert writes > 15
+
+
+def test_the_result_of_the_validation_before_is_not_believed(bench: Bench, projector: Dlp4500) -> None:
+    """On the emulated board it is read once after the next order."""
+    projector.load(bench.patterns)
+    board = projector._board
+    with pytest.raises(ProtocolError, match="an image is not valid"):
+        board.prepare(flash_program([Slot(200, 0)], 10_000))
+    board.prepare(flash_program([Slot(0, 0)], 10_000))
+    with pytest.raises(ProtocolError, match="an image is not valid"):
+        board.prepare(flash_program([Slot(200, 0)], 10_000))
+
+
+def test_a_load_time_of_0_is_read_again(bench: Bench, projector: Dlp4500) -> None:
+    assert projector._board.image_load_us(0) == pytest.approx(20_000, abs=1)
+    bench.controller.load_s = [0.0] * len(bench.controller.images)
+    with pytest.raises(DeviceTimeoutError, match="the load time of image 0 still reads 0 after 1 s"):
+        projector._board.image_load_us(0)

@@ -299,6 +299,14 @@ def test_the_interface_that_takes_commands_is_opened() -> None:
     assert hid.opened == b"B:0"
 
 
+def test_two_interfaces_without_a_number_are_one_board() -> None:
+    """As macOS lists them."""
+    hid = FakeHid((-1, "A"), (-1, "A"))
+    assert connect(hid, "projector", None) == (hid, "A")
+    with pytest.raises(DeviceError, match=r"2 LightCrafters 4500 .* one of \['A', 'B'\]"):
+        connect(FakeHid((-1, "A"), (-1, "B"), (-1, "A"), (-1, "B")), "projector", None)
+
+
 @pytest.mark.parametrize(
     ("hid", "serial", "error", "words"),
     [

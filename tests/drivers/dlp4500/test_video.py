@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from drivers.dlp4500 import Dlp4500, protocol
 from drivers.dlp4500.index import shown_image
 from drivers.dlp4500.packing import assign_slots, pack_images
 from drivers.dlp4500.protocol import Run
 from drivers.dlp4500.sequence import MIN_EXPOSURE_US
-from drivers.emulators.dlpc350 import STRICT, Dlpc350Policy, EmulatedDisplay, UsbFault
+from drivers.emulators.dlpc350 import STRICT, Dlpc350Policy, UsbFault
 from drivers.emulators.dlpc350.light import grey_levels
 from fpplab.core.errors import (
     CapabilityError,
@@ -28,33 +27,9 @@ from fpplab.core.errors import (
 )
 from fpplab.devices import State
 from fpplab.patterns.fringes import Pattern
-from tests.drivers.projector_bench import HEIGHT, WIDTH, Bench, greys
+from tests.drivers.projector_bench import FRAME_S, HEIGHT, WIDTH, VideoBench, greys
 
-FRAME_S = 1 / 60
 FRAME_US = 16_666
-
-
-class VideoBench(Bench):
-    """The projector with a computer's display on its video port. frames: how many it was given."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.frames = 0
-        bench = self
-
-        class Counting(EmulatedDisplay):
-            def show(self, frame: NDArray[np.uint8]) -> None:
-                bench.frames += 1
-                super().show(frame)
-
-        self.display = Counting(self.controller, FRAME_S)
-
-    def projector(self, **options: Any) -> Dlp4500:
-        return Dlp4500("projector", {"video": {"display": 0}, **options}, self)
-
-    def pulsed(self) -> list[float]:
-        """When output 1 rose."""
-        return [pulse.rise_s for pulse in self.pulses if pulse.output == 1]
 
 
 @pytest.fixture
