@@ -24,8 +24,8 @@ from pypylon import pylon
 from benchmarks import Result
 from benchmarks.peak import peak_of
 from drivers.basler import BaslerCamera
-from drivers.basler.frames import MAX_POOL_BYTES
 from drivers.emulators.pylon import EmulatedPylon, PylonPolicy
+from drivers.genicam.buffers import MAX_POOL_BYTES
 from fpplab.core.progress import ignore
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
@@ -151,10 +151,11 @@ def _memory(camera: BaslerCamera, bench: EmulatedPylon) -> Result:
     process = psutil.Process()
     before = process.memory_info().rss
     with peak_of(lambda: process.memory_info().rss, SAMPLE_S) as peak:
-        camera.arm(4 * FRAMES, "hardware")
-        for _ in range(4 * FRAMES):
-            bench.pulse()
-            camera.read(TIMEOUT_S)
+        for _ in range(4):
+            camera.arm(FRAMES, "hardware")
+            for _ in range(FRAMES):
+                bench.pulse()
+                camera.read(TIMEOUT_S)
     taken, allowed = (peak[0] - before) / 2**30, (MAX_POOL_BYTES + SIZE[0] * SIZE[1]) / 2**30
     return Result(f"memory for {4 * FRAMES} frames", taken, "GiB", allowed, allowed / taken)
 

@@ -11,9 +11,10 @@ from pydantic import Field
 from pypylon import genicam, pylon
 
 from drivers.basler.families import BASLER_RAW, family_of, raw_gain_of
-from drivers.basler.frames import SPARE_BUFFERS, BufferPool
+from drivers.basler.frames import BufferPool
 from drivers.basler.transport import Pylon, lost_on_link
 from drivers.genicam import names as named
+from drivers.genicam.buffers import SPARE_BUFFERS
 from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera, message_of
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain

@@ -12,20 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pypylon import pylon
 
+from drivers.genicam import buffers
 from drivers.genicam.pixels import unpack12
 from fpplab.core.conventions import Image
-
-MAX_POOL_BYTES = 1 << 30
-"""Memory limit of the buffers in bytes (chosen); exceeded only where fewer than the minimum would fit."""
-SPARE_BUFFERS = 4
-"""Buffers kept for the transfer from the camera, however many frames the caller holds (chosen)."""
 
 
 class BufferPool:
     """Number of grab buffers, and which of them are in use by arrays."""
 
     def __init__(self, waiting: int, frame_bytes: int) -> None:
-        self.size = min(waiting + SPARE_BUFFERS, max(2 * SPARE_BUFFERS, MAX_POOL_BYTES // frame_bytes))
+        self.size = min(waiting, buffers.held_frames(frame_bytes)) + buffers.SPARE_BUFFERS
         self._lent: WeakSet[_Lease] = WeakSet()
 
     def image(self, result: Any) -> Image:
@@ -36,7 +32,7 @@ class BufferPool:
         if pylon.IsPacked(result.GetPixelType()):
             packed = np.frombuffer(result.GetImageMemoryView(), np.uint8)
             return unpack12(packed, result.GetHeight(), result.GetWidth(), result.GetPaddingX())
-        if len(self._lent) >= self.size - SPARE_BUFFERS:
+        if len(self._lent) >= self.size - buffers.SPARE_BUFFERS:
             return cast(Image, _view_buffer(result).copy())
         lease = _Lease(result)
         self._lent.add(lease)

@@ -82,7 +82,7 @@ class BenchCamera(EmulatedCamera):
     def StartGrabbing(self, strategy: Any) -> None:
         """Arm the camera as pylon does; earlier pulses and exposures are forgotten."""
         self.pulses, self._frame_coming = 0, False
-        self._emulator.shutter.clear()
+        self._emulator.shutter.clear(self.instant.MaxNumBuffer.GetValue())
         super().StartGrabbing(strategy)
 
     def ExecuteSoftwareTrigger(self) -> None:

@@ -5,6 +5,7 @@ with the readout of the previous frame, but must not end before that readout doe
 time between two exposures.
 """
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -117,9 +118,10 @@ class EmulatedShutter:
         clock.on_interval = self._record_interval
         self.clear()
 
-    def clear(self) -> None:
+    def clear(self, buffers: float = math.inf) -> None:
         """Close the shutter and discard the exposures that were not read out."""
         self._exposures.clear()
+        self.buffers = buffers
         self._ready_s, self.ignored = -NEVER, 0
 
     def open(self, settings: CameraSettings, begin_s: float, times: int = 1) -> None:
@@ -128,6 +130,8 @@ class EmulatedShutter:
             self.ignored += 1
             return
         self._ready_s = begin_s + self._timing.period_s(settings.exposure_s)
+        if len(self._exposures) >= self.buffers:  # nothing is free to take the frame
+            return
         self._exposures.extend([Exposure(settings, begin_s, begin_s + settings.exposure_s)] * times)
 
     def wait_next(self, timeout_s: float) -> tuple[CameraSettings, CollectedLight] | None:

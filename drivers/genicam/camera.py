@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import ClassVar, get_args
 
 from drivers.genicam import names as named
+from drivers.genicam.buffers import held_frames
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
 from drivers.genicam.names import US_PER_S
@@ -164,7 +165,12 @@ class GenicamCamera(Camera):
             (int(features.read(named.OFFSET_X) or 0), int(features.read(named.OFFSET_Y) or 0)),
             self._bayer(),
             strobe=self._options.strobe is not None,
+            buffers=held_frames(features.read(named.PAYLOAD_BYTES) or self._frame_bytes()),
         )
+
+    def _frame_bytes(self) -> int:
+        """Return the size of a frame of 16 bits, for a camera that does not report that of its frames."""
+        return 2 * int(self._features.read(named.WIDTH) * self._features.read(named.HEIGHT))
 
     def _period_s(self) -> float | None:
         """Return the least time in s between triggers: the reciprocal of the resulting frame rate."""

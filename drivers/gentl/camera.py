@@ -11,13 +11,14 @@ from typing import Any, ClassVar
 from genicam import genapi, gentl
 
 from drivers.genicam import names as named
+from drivers.genicam.buffers import SPARE_BUFFERS
 from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
 from drivers.genicam.options import GenicamOptions, RawGain
 from drivers.genicam.pixels import PACKED
 from drivers.gentl.makers import maker_of
-from drivers.gentl.producer import SPARE_BUFFERS, GentlFrame, GentlProducer, IncompleteBufferError
+from drivers.gentl.producer import GentlFrame, GentlProducer, IncompleteBufferError
 from fpplab.core import config
 from fpplab.core.errors import CapabilityError, DisconnectedError, FrameLossError
 from fpplab.devices import CameraCaps, DeviceInfo, Frame, Trigger

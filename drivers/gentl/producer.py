@@ -19,12 +19,12 @@ from genicam import gentl
 from harvesters.core import Callback, Harvester
 from harvesters.util.pfnc import dict_by_ints
 
+from drivers.genicam.buffers import SPARE_BUFFERS
 from drivers.genicam.pixels import image_from
 from drivers.gentl.nodes import GentlNodeMap
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError
 
-SPARE_BUFFERS = 4  # buffers in addition to the frames that may wait (chosen)
 FIRST_FRAME = {"U3V": 0, "GEV": 1}
 """Number of the first frame after a start, by the transport layer; that of other layers is not fixed."""
 

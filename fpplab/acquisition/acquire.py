@@ -159,12 +159,13 @@ def expose(
     camera, projector = rig.camera, rig.projector
     try:
         settings = camera.configure(settings)
-        projector.load(patterns)
         if plan is not None and plan.trigger == "triggered":
-            yield from _triggered(rig, patterns, settings, gap_s)
+            yield from _triggered(rig, patterns, settings, gap_s, in_parts=provable(plan))
         elif plan is not None and plan.trigger == "followed":
+            projector.load(patterns)
             yield from _followed(camera, projector, patterns, settings, plan.settle_s)
         else:
+            projector.load(patterns)
             yield from _stepped(camera, projector, patterns, settings, plan.settle_s if plan else 0.0)
     finally:
         rig.make_dark()
@@ -205,14 +206,20 @@ def _followed(
 
 
 def _triggered(
-    rig: Rig, patterns: Sequence[Pattern], settings: CameraSettings, gap_s: float
+    rig: Rig, patterns: Sequence[Pattern], settings: CameraSettings, gap_s: float, in_parts: bool
 ) -> Iterator[Frame]:
-    camera, dead_s = rig.camera, rig.file.camera.dead_s(settings.exposure_s)
-    timing = pulse_timing(camera, rig.projector, patterns, settings.exposure_s, dead_s, gap_s)
-    camera.arm(len(patterns), "hardware")
-    rig.projector.play(timing.light_s, timing.dark_s, timing.period_s)
-    for pattern in patterns:
-        yield in_step(camera, camera.read(timeout_s=timing.period_s + READ_TIMEOUT_S), pattern)
+    """Take triggered frames, in parts as large as the camera keeps where the frames prove themselves."""
+    # A projector that is fed by the computer plays to the end before the first frame is read.
+    camera, projector, dead_s = rig.camera, rig.projector, rig.file.camera.dead_s(settings.exposure_s)
+    kept = (camera.caps.buffers if in_parts else None) or len(patterns)
+    for part in (patterns[i : i + kept] for i in range(0, len(patterns), kept)):
+        projector.load(part)
+        timing = pulse_timing(camera, projector, part, settings.exposure_s, dead_s, gap_s)
+        camera.arm(len(part), "hardware")
+        projector.play(timing.light_s, timing.dark_s, timing.period_s)
+        for pattern in part:
+            yield in_step(camera, camera.read(timeout_s=timing.period_s + READ_TIMEOUT_S), pattern)
+        projector.blank()
 
 
 def in_step(camera: Camera, frame: Frame, pattern: Pattern) -> Frame:

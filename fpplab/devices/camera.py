@@ -51,6 +51,9 @@ class CameraCaps:
     exposure_step_s: float = 0.0
     """Step of its exposures, such as the time of a sensor row: the device takes the nearest. 0 where steps
     are finer than a tenth of the exposure."""
+    buffers: int | None = None
+    """How many frames of hardware triggers it keeps until they are read, at the present settings; `arm` takes
+    no more, and longer plans are taken in parts. None where nothing limits them."""
 
     def __post_init__(self) -> None:
         for name in ("size", "bits", "exposure_s", "gain_db", "triggers"):
@@ -159,7 +162,7 @@ class Camera(Device):
         SettingError
             n is less than 1.
         CapabilityError
-            It has no such trigger.
+            It has no such trigger, or does not keep so many frames.
         """
         self._need(State.IDLE, doing="arm")
         self._configured("arm")
@@ -167,6 +170,7 @@ class Camera(Device):
             raise SettingError(self.name, "arm", f"n is {n}", "at least 1")
         if trigger not in self.caps.triggers:
             raise CapabilityError(self.name, "arm", f"has no {trigger} trigger")
+        self._check_buffers(n, trigger)
         with self._guard("arm"):
             self._arm(n, trigger)
         self._awaited, self._taken = n, 0
@@ -226,6 +230,17 @@ class Camera(Device):
         """
         self.arm(1, "software")
         return self.read(timeout_s)
+
+    def _check_buffers(self, n: int, trigger: Trigger) -> None:
+        kept = self.caps.buffers
+        if trigger == "hardware" and kept is not None and n > kept:
+            size = "{} x {}".format(*self.caps.size)
+            raise CapabilityError(
+                self.name,
+                "arm",
+                f"{n} triggered frames are to wait until they are read, and it keeps {kept} of {size} px",
+                "use fewer bits, a smaller region, fewer images in the plan, or a stepped plan",
+            )
 
     def _within(self, what: str, value: float, allowed: tuple[float, float], unit: str) -> None:
         if not allowed[0] <= value <= allowed[1]:

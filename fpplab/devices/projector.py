@@ -126,6 +126,8 @@ class Projector(Device):
     def play(self, exposure_s: float, dark_s: float = 0.0, period_s: float = 0.0) -> None:
         """Show every loaded pattern once, giving a trigger pulse with each; ARMED until `blank`.
 
+        It returns once that has begun or, of a projector that is fed by the computer, at its end.
+
         Parameters
         ----------
         exposure_s : float
@@ -290,7 +292,8 @@ class Projector(Device):
         """Start to show every loaded pattern once, in order, with a pulse at the beginning of each.
 
         Called by `play` in IDLE, only where `trigger_outputs` is not 0; the camera is armed already. Return
-        once the sequence runs or is sure to: do not wait for its end.
+        once the sequence runs or is sure to. A projector that needs the computer until the end returns then:
+        the camera keeps the frames meanwhile.
 
         Parameters
         ----------

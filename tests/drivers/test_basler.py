@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from pypylon import genicam, pylon
 
-from drivers.basler import BaslerCamera, frames
+from drivers.basler import BaslerCamera
 from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon, PylonPolicy
+from drivers.genicam import buffers
 from fpplab.core.conventions import raw_dtype
 from fpplab.core.errors import (
+    CapabilityError,
     ConfigError,
     DeviceError,
     DeviceTimeoutError,
@@ -208,7 +210,7 @@ def test_frames_stay_what_they_were(
     camera: BaslerCamera, scene: Counter, kept: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While more are taken, after the camera is stopped, closed, and gone; few buffers or many."""
-    monkeypatch.setattr(frames, "MAX_POOL_BYTES", 1)
+    monkeypatch.setattr(buffers, "MAX_POOL_BYTES", 1)
     before = scene.exposures
     camera.arm(30)
     taken = [camera.read(5.0) for _ in range(30)][:kept]
@@ -236,37 +238,42 @@ def addresses(camera: BaslerCamera, bench: EmulatedPylon, n: int, keep: bool) ->
 def test_frames_leave_in_pylons_own_buffers(
     camera: BaslerCamera, bench: EmulatedPylon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    buffers: list[int] = []
+    places: list[int] = []
     really_retrieve = EmulatedCamera.RetrieveResult
 
     def noted(camera: EmulatedCamera, timeout_ms: int, handling: Any) -> Any:
         result = really_retrieve(camera, timeout_ms, handling)
         if result.IsValid():
             view = np.frombuffer(result.GetImageMemoryView(), np.uint8)
-            buffers.append(view.__array_interface__["data"][0])
+            places.append(view.__array_interface__["data"][0])
         return result
 
     monkeypatch.setattr(EmulatedCamera, "RetrieveResult", noted)
-    assert addresses(camera, bench, 20, keep=True) == buffers
-    assert len(set(buffers)) == 20
-    buffers.clear()
-    assert addresses(camera, bench, 60, keep=False) == buffers
+    assert addresses(camera, bench, 20, keep=True) == places
+    assert len(set(places)) == 20
+    places.clear()
+    assert addresses(camera, bench, 60, keep=False) == places
 
 
 def test_where_buffers_are_few_some_always_go_round(
     camera: BaslerCamera, bench: EmulatedPylon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(frames, "MAX_POOL_BYTES", 1)
-    assert len(set(addresses(camera, bench, 30, keep=True))) == 30
-    assert end(camera).MaxNumBuffer.GetValue() == 2 * frames.SPARE_BUFFERS
+    monkeypatch.setattr(buffers, "MAX_POOL_BYTES", 1)
+    camera.configure(camera._configured("test"))
+    kept = camera.caps.buffers
+    assert kept == buffers.SPARE_BUFFERS
+    assert len(set(addresses(camera, bench, kept, keep=True))) == kept
+    assert end(camera).MaxNumBuffer.GetValue() == 2 * buffers.SPARE_BUFFERS
+    with pytest.raises(CapabilityError, match="5 triggered frames are to wait .*, and it keeps 4"):
+        camera.arm(kept + 1, "hardware")
 
 
 def test_triggers_of_the_hosts_own_need_few_buffers(camera: BaslerCamera) -> None:
     camera.arm(1000)
-    assert end(camera).MaxNumBuffer.GetValue() == 2 * frames.SPARE_BUFFERS
+    assert end(camera).MaxNumBuffer.GetValue() == 2 * buffers.SPARE_BUFFERS
     camera.stop()
     camera.arm(1000, "hardware")
-    assert end(camera).MaxNumBuffer.GetValue() == 1000 + frames.SPARE_BUFFERS
+    assert end(camera).MaxNumBuffer.GetValue() == 1000 + buffers.SPARE_BUFFERS
 
 
 # Settings in files

@@ -11,8 +11,15 @@ import pytest
 from drivers.emulators.bench import BenchFaults, EmulatedFixture
 from drivers.emulators.dlpc350 import UsbFault
 from drivers.emulators.exposure import ALWAYS_READY
+from drivers.genicam import buffers
 from fpplab.core.conventions import Image
-from fpplab.core.errors import ConfigError, DeviceTimeoutError, DisconnectedError, SettingError
+from fpplab.core.errors import (
+    CapabilityError,
+    ConfigError,
+    DeviceTimeoutError,
+    DisconnectedError,
+    SettingError,
+)
 from fpplab.devices import CameraSettings, Frame, State
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern
@@ -81,6 +88,31 @@ def test_frames_are_those_of_the_optics_to_the_last_bit(
     with rig_on(folder, camera={"bits": bits}) as rig:
         for frame, image in zip(taken(rig, plan), wanted, strict=True):
             np.testing.assert_array_equal(frame, image)
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize(
+    "sizes", [2, pytest.param(100, marks=[pytest.mark.nightly, pytest.mark.timeout(1800)])]
+)
+def test_plans_that_do_not_fit_into_the_buffers_are_taken_in_parts(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, sizes: int
+) -> None:
+    """Over the video port no frame is read before all of a part are exposed."""
+    plan = TRIGGERED.model_copy(update={"exposure_s": 0.008333})
+    random = np.random.default_rng(41)
+    monkeypatch.setattr(buffers, "SPARE_BUFFERS", 1)
+    with on_video(folder) as rig:
+        whole = list(taken(rig, plan))
+        frame_bytes = 2 * CAMERA_SIZE[0] * CAMERA_SIZE[1]
+        for held in random.integers(1, 10, sizes):
+            monkeypatch.setattr(buffers, "MAX_POOL_BYTES", (held + 1) * frame_bytes)
+            for frame, image in zip(taken(rig, plan), whole, strict=True):
+                np.testing.assert_allclose(frame.astype(int), image.astype(int), rtol=0, atol=40)
+            assert rig.camera.caps.buffers == held
+        monkeypatch.setattr(buffers, "MAX_POOL_BYTES", 4 * frame_bytes)
+        unprovable = plan.model_copy(update={"fringes": plan.fringes[:1]})
+        with pytest.raises(CapabilityError, match="4 triggered frames are to wait .*, and it keeps 3"):
+            next(taken(rig, unprovable, patterns()[:4]))
 
 
 def test_a_depth_that_the_optics_lack_is_shifted_up(folder: Path) -> None:
