@@ -264,7 +264,7 @@ def test_where_buffers_are_few_some_always_go_round(
     assert kept == buffers.SPARE_BUFFERS
     assert len(set(addresses(camera, bench, kept, keep=True))) == kept
     assert end(camera).MaxNumBuffer.GetValue() == 2 * buffers.SPARE_BUFFERS
-    with pytest.raises(CapabilityError, match="5 triggered frames are to wait .*, and it keeps 4"):
+    with pytest.raises(CapabilityError, match=r"5 triggered frames are to wait .*, and it keeps 4"):
         camera.arm(kept + 1, "hardware")
 
 

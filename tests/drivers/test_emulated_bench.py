@@ -111,7 +111,7 @@ def test_plans_that_do_not_fit_into_the_buffers_are_taken_in_parts(
             assert rig.camera.caps.buffers == held
         monkeypatch.setattr(buffers, "MAX_POOL_BYTES", 4 * frame_bytes)
         unprovable = plan.model_copy(update={"fringes": plan.fringes[:1]})
-        with pytest.raises(CapabilityError, match="4 triggered frames are to wait .*, and it keeps 3"):
+        with pytest.raises(CapabilityError, match=r"4 triggered frames are to wait .*, and it keeps 3"):
             next(taken(rig, unprovable, patterns()[:4]))
 
 
