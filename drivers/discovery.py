@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from drivers import computer_discovery
+from drivers import computer_discovery, computer_settings
 from drivers.dlp4500.sequence import SIZE as LIGHTCRAFTER
 from drivers.dlp4500.transport import PRODUCT, VENDOR, command_interfaces
 from fpplab.core.extras import MissingExtraError, missing_extra
@@ -22,6 +22,7 @@ SERIAL_ADAPTERS = {
     (0x2341, 0x0043): "Arduino Uno",
     (0x2341, 0x0042): "Arduino Mega",
     (0x1A86, 0x7523): "CH340",
+    (0x1A86, 0x5523): "CH341",
     (0x0403, 0x6001): "FTDI FT232",
     (0x0403, 0x6015): "FTDI FT230X",
     (0x10C4, 0xEA60): "CP210x",
@@ -35,6 +36,7 @@ SPEEDS = {
     5: "USB 3, 10 Gbit/s",
 }
 """Descriptions of libusb's speed numbers (`enum libusb_speed`)."""
+USB_3 = 4  # libusb's least speed number of USB 3
 BENCH = "rig_bench.yaml"  # rig file that comes with fpplab, of a bench of these devices
 RULES = "copy the udev rules of docs/hardware.md, and plug it in again"
 
@@ -81,8 +83,21 @@ def find_devices() -> FoundDevices:
             continue
         result.devices.extend(part.devices)
         result.missing.extend(part.missing)
+    result.missing.extend(_settings(usb, result.devices))
     listed = [device for device in result.devices if not _is_again(device, result.devices)]
     return FoundDevices([_with_video_port(device, listed) for device in listed], result.missing)
+
+
+def _settings(usb: Iterable[UsbDevice], devices: Iterable[FoundDevice]) -> list[str]:
+    """Describe what the computer's settings do to the cameras."""
+    on_usb_3 = any(d.vendor == BASLER_VENDOR and (d.speed or 0) >= USB_3 for d in usb)
+    on_network = any("GigE" in d.link or "GenTL GEV" in d.link for d in devices)
+    sentences = [
+        computer_settings.usb_memory() if on_usb_3 else None,
+        computer_settings.filtered_packets(),
+        computer_settings.full_sockets() if on_network else None,
+    ]
+    return [sentence for sentence in sentences if sentence is not None]
 
 
 def _why_not(error: ImportError | MissingExtraError) -> str:
@@ -169,7 +184,7 @@ def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
             result.missing.append(
                 f"camera {device.label}: pylon does not show it; install pylon's USB driver"
             )
-        if device.speed is not None and device.speed < 4:  # slower than USB 3
+        if device.speed is not None and device.speed < USB_3:
             result.missing.append(
                 f"camera {device.label}: connected by {SPEEDS.get(device.speed, 'an unknown speed')}; "
                 "use a USB 3 port and cable, or frames will be lost"
@@ -224,9 +239,10 @@ def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
     for device in usb:
         if device.ids in SERIAL_ADAPTERS and device.ids not in served:
             name = SERIAL_ADAPTERS[device.ids]
-            result.missing.append(
-                f"stage {device.label}: {name} is on USB without a serial port; install its driver"
-            )
+            remedy = "install its driver"
+            if computer_settings.claims_of_brltty(*device.ids):
+                remedy = "brltty, for braille displays, claims it: sudo apt-get remove brltty, and replug it"
+            result.missing.append(f"stage {device.label}: {name} is on USB without a serial port; {remedy}")
     return result
 
 

@@ -13,6 +13,7 @@ from pypylon import genicam, pylon
 from drivers.basler.families import BASLER_RAW, family_of, raw_gain_of
 from drivers.basler.frames import BufferPool
 from drivers.basler.transport import Pylon, lost_on_link
+from drivers.computer_settings import full_sockets, usb_memory
 from drivers.genicam import names as named
 from drivers.genicam.buffers import SPARE_BUFFERS
 from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera, message_of
@@ -24,6 +25,7 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError, DeviceError, DisconnectedError, FrameLossError
 from fpplab.core.files import write_text
 from fpplab.devices import DeviceInfo, Frame, State, Trigger
+from fpplab.devices.discovery import COMPUTER
 
 
 class BaslerOptions(GenicamOptions):
@@ -43,6 +45,8 @@ LINK_REMEDY = "use a better cable or network card, or a larger packet_delay_tick
 """Remedy for packets that are lost again and again."""
 FIRST_BLOCK = {"BaslerGigE": 1}
 """BlockID of the first frame after `arm`, by pylon's device class, where it is not 0."""
+LOCKED_S = 6.0
+"""Wait in s for a network camera in use: a crashed program's lock ends after a heartbeat, pylon's 3 s."""
 NO_BLOCK_ID = (1 << 64) - 1
 """BlockID of a camera that does not count its frames (pylon's API reference, `GetBlockID`)."""
 USB_SPEEDS = {
@@ -105,7 +109,7 @@ class BaslerCamera(GenicamCamera):
                 f"there is {', '.join(connected) or 'none'}",
             )
         self._camera = self._transport.attach(connected[serial])
-        self._camera.Open()
+        self._open_when_free()
         self._features = Features(self.name, self._camera)
         info = self._camera.GetDeviceInfo()
         conversion = self._options.raw_gain or raw_gain_of(info.GetModelName())
@@ -119,6 +123,36 @@ class BaslerCamera(GenicamCamera):
             self._load(config.read_text(path), path)
         self._warn_of_missing_nodes(info.GetModelName())
         self._set_up()
+
+    def _open_when_free(self) -> None:
+        """Open the camera; one on the network may still be locked by a program that has crashed."""
+        deadline = time.monotonic() + LOCKED_S
+        while True:
+            try:
+                self._camera.Open()
+                return
+            except genicam.GenericException as error:
+                locked = self._link == "BaslerGigE" and self._is_in_use(error)
+                if not locked or time.monotonic() >= deadline:
+                    raise
+            time.sleep(0.1)
+
+    @property
+    def _link(self) -> str:
+        return str(self._camera.GetDeviceInfo().GetDeviceClass())
+
+    def _described(self, operation: str, error: Exception) -> DeviceError:
+        described = super()._described(operation, error)
+        cause = self._cause_in_settings() if type(described) is DeviceError else None
+        if cause is None:
+            return described
+        return DeviceError(self.name, operation, f"{described.found}; {cause[0]}", cause[1])
+
+    def _cause_in_settings(self) -> tuple[str, str] | None:
+        """Return what of the computer's settings loses frames of this link, and the remedy."""
+        look = {"BaslerUsb": usb_memory, "BaslerGigE": full_sockets}.get(self._link) if self._camera else None
+        sentence = look() if look else None
+        return None if sentence is None else sentence.removeprefix(COMPUTER).partition("; ")[::2]
 
     def _close(self) -> None:
         camera, self._camera = self._camera, None
@@ -164,12 +198,10 @@ class BaslerCamera(GenicamCamera):
         if not result.GrabSucceeded():
             self._check_connected("read")
             description = f"{result.GetErrorDescription()} ({result.GetErrorCode():#x}){self._lost()}"
-            raise FrameLossError(
-                self.name,
-                "read",
-                f"frame {self._taken} is damaged: {description}",
-                "check the cable, and the USB controller or network; take the frames again",
-            )
+            cable = "check the cable, and the USB controller or network; take the frames again"
+            cause, remedy = self._cause_in_settings() or ("", cable)
+            found = f"frame {self._taken} is damaged: {description}{cause and '; '}{cause}"
+            raise FrameLossError(self.name, "read", found, remedy)
         index, ticks = self._index(result.GetBlockID()), result.GetTimeStamp()
         device_time_s = ticks / self._ticks_per_s if ticks else None  # 0 of a camera without a clock
         settings = self._configured("read")

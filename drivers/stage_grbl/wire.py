@@ -5,6 +5,7 @@ overflow and an answer cannot be taken for that of another line. A missing answe
 anything that is not part of GRBL's protocol.
 """
 
+import logging
 import time
 from collections import deque
 
@@ -27,6 +28,8 @@ from drivers.stage_grbl.lines import (
 )
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
 from fpplab.core.logs import log_traffic
+
+_log = logging.getLogger(__name__)
 
 BAUD = 115200  # GRBL 1.1's baud rate (config.h)
 START_S = 5.0
@@ -72,6 +75,30 @@ class GrblWire:
 
     def reset(self, operation: str, timeout_s: float) -> str:
         """Restart the controller, which stops it at once, and discard what it sent before."""
+        version = self._welcomed(operation, timeout_s)
+        tried = ""
+        if version is None and self._release_control_lines():
+            version, tried = self._welcomed(operation, timeout_s), ", nor with DTR and RTS off"
+        if version is None:
+            raise DeviceTimeoutError(
+                self._name,
+                operation,
+                f"no GRBL controller answers at {self._port} within {timeout_s:g} s{tried}",
+                "check power and cable, and that this is the stage's port (`fpplab devices`)",
+            )
+        return version
+
+    def _release_control_lines(self) -> bool:
+        """Switch DTR and RTS off, which hold some boards in reset; False at a port without such lines."""
+        try:
+            self._serial.dtr = self._serial.rts = False
+        except OSError:
+            return False
+        _log.info("%s: no answer at %s: DTR and RTS are switched off", self._name, self._port)
+        return True
+
+    def _welcomed(self, operation: str, timeout_s: float) -> str | None:
+        """Order a reset, and return the version of the welcome message; None where none comes."""
         self._wait_for_bytes(operation, time.monotonic())
         self._received.clear()  # an earlier welcome message must not be taken for the answer
         self._write(operation, RESET)
@@ -85,12 +112,7 @@ class GrblWire:
                 self._answers.clear()
                 self._settings.clear()
                 return message.version
-        raise DeviceTimeoutError(
-            self._name,
-            operation,
-            f"no GRBL controller answers at {self._port} within {timeout_s:g} s",
-            "check power and cable, and that this is the stage's port (`fpplab devices`)",
-        )
+        return None
 
     def await_ok(self, operation: str, line: str, timeout_s: float) -> None:
         if not self.wait_for_answer(operation, line, timeout_s):

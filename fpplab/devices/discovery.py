@@ -7,6 +7,9 @@ from typing import Any
 from fpplab.core import plugins
 from fpplab.devices.device import DeviceInfo
 
+COMPUTER = "computer: "
+"""Beginning of sentences about settings of the computer that keep devices from working."""
+
 
 @dataclass(frozen=True)
 class FoundDevice(DeviceInfo):
@@ -32,7 +35,8 @@ class FoundDevices:
     """Connected devices, and why others may not show."""
 
     devices: list[FoundDevice]
-    missing: list[str]  # a sentence for all that keeps devices from being listed: a library, a permission
+    missing: list[str]
+    """A sentence for all that keeps devices from being listed or from working: a library, a permission."""
 
 
 def connected_devices() -> FoundDevices:

@@ -14,7 +14,7 @@ import usb.core
 from pypylon import pylon
 from serial.tools import list_ports
 
-from drivers import computer_discovery, discovery
+from drivers import computer_discovery, computer_settings, discovery
 from drivers.discovery import BASLER_VENDOR
 from drivers.display import DisplayProjector, window
 from drivers.display.screen import DisplayInfo
@@ -174,6 +174,25 @@ def test_an_adapter_without_a_driver_is_said(computer: Computer) -> None:
     assert only(discovery.find_devices().missing) == (
         "stage at USB 1-1: CH340 is on USB without a serial port; install its driver"
     )
+
+
+def test_an_adapter_that_brltty_claims_is_said(
+    computer: Computer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "85-brltty.rules").write_text('ENV{PRODUCT}=="1a86/7523/*"\n', encoding="utf-8")
+    monkeypatch.setattr(computer_settings, "UDEV_RULES", (tmp_path,))
+    computer.plug_usb(0x1A86, 0x7523, None, 2)
+    assert "brltty, for braille displays, claims it" in only(discovery.find_devices().missing)
+
+
+def test_memory_for_usb_is_said_where_a_camera_needs_it(
+    computer: Computer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(computer_settings, "usb_memory", lambda: "computer: too little; more")
+    computer.plug_usb(0x1A86, 0x7523, None, 4)
+    assert "computer: too little; more" not in discovery.find_devices().missing
+    computer.plug_camera("1234", 4)
+    assert "computer: too little; more" in discovery.find_devices().missing
 
 
 def test_ports_of_the_mainboard_are_left_out(computer: Computer) -> None:

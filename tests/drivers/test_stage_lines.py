@@ -116,6 +116,20 @@ def direct(patch: pytest.MonkeyPatch, spoil: dict[int, tuple[int, int]]) -> tupl
     return GrblStage("stage", {"port": "direct"}), controller
 
 
+def test_a_board_that_dtr_holds_in_reset_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that answers neither way is not said to be held."""
+    stage, controller = direct(monkeypatch, {})
+    line = wire.serial.Serial
+    line.dtr = line.rts = True
+    receive = controller.receive
+    monkeypatch.setattr(controller, "receive", lambda data: None if line.dtr or line.rts else receive(data))
+    with stage:
+        assert stage.position_mm == 0.0
+    monkeypatch.setattr(controller, "receive", lambda data: None)
+    with pytest.raises(DeviceError, match=r"no GRBL controller answers at .*, nor with DTR and RTS off"):
+        stage.open()
+
+
 def test_without_noise_the_direct_line_works(monkeypatch: pytest.MonkeyPatch) -> None:
     stage, controller = direct(monkeypatch, {})
     with stage:

@@ -25,9 +25,10 @@ def doctor_command(
 ) -> None:
     """Check this computer for everything fpplab needs, and say how to correct what is missing.
 
-    Packages and extras, system libraries, permissions of devices and folders, graphics processors, the speed
-    of the disk, and all versions. An extra that is not installed is not an error; the command to install it
-    is shown. Nothing is sent to a device. The exit code is 3 if something has to be corrected.
+    Packages and extras, system libraries, permissions of devices and folders, the computer's settings for USB
+    and network cameras, graphics processors, the speed of the disk, and all versions. An extra that is not
+    installed is not an error; the command to install it is shown. Nothing is sent to a device. The exit code
+    is 3 if something has to be corrected.
 
     Example: `fpplab doctor --json > doctor.json`, to attach to a question
     """
@@ -61,11 +62,14 @@ def doctor_command(
 
 def _permissions() -> list[DoctorFinding]:
     from fpplab.core.doctor import DoctorFinding
-    from fpplab.devices.discovery import connected_devices
+    from fpplab.devices.discovery import COMPUTER, connected_devices
 
     discovered = connected_devices()
-    barred = [sentence for sentence in discovered.missing if "may not open" in sentence]
+    barred = [
+        ("computer" if s.startswith(COMPUTER) else "permissions", *s.removeprefix(COMPUTER).split("; ", 1))
+        for s in discovered.missing
+        if "may not open" in s or s.startswith(COMPUTER)
+    ]
     if not barred:
         return [DoctorFinding("permissions", "ok", f"{len(discovered.devices)} devices seen")]
-    parts = [sentence.partition("; ") for sentence in barred]
-    return [DoctorFinding("permissions", "wrong", refusal, remedy) for refusal, _, remedy in parts]
+    return [DoctorFinding(name, "wrong", refusal, remedy) for name, refusal, remedy in barred]
