@@ -1,6 +1,7 @@
 """A whole matching on the plane twin: from recorded sessions to a twin and its report."""
 
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -180,7 +181,10 @@ def test_a_refused_step_is_tried_again_only_where_that_may_help(
     some = {one.name: one for one in match.FIRST_STEPS}
 
     def refused(name: str, again: bool) -> MatchingStep:
-        return MatchingStep(name, lambda at: at.twin.parameters, allowed=lambda at: False, again=again)
+        grows = count()  # a misfit that is greater after the step
+        return MatchingStep(
+            name, lambda at: at.twin.parameters, misfit=lambda at: float(next(grows)), again=again
+        )
 
     monkeypatch.setattr(match, "FIRST_STEPS", (some["light"],))
     monkeypatch.setattr(match, "REPEATED_STEPS", (refused("once", False), refused("always", True)))
