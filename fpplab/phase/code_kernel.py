@@ -342,7 +342,7 @@ def _search_beside(count: int, near: int, table: Any, work: Any) -> int:
     """Find the best grid points of pixels near that of the one before, or the best of every second code."""
     scores, fit, owner = work.scores, work.fit, table.owner
     for p in range(count):
-        x, values, grid, at = work.levels[p], work.beside[p], (work.ends[0, p], work.ends[1, p]), -1
+        x, values, grid = work.levels[p], work.beside[p], (work.ends[0, p], work.ends[1, p])
         if grid[0] == grid[1]:
             continue
         ends, good = (owner[grid[0]], owner[grid[1] - 1] + 1), np.float32(np.sqrt(fit[_POWER + p]))
@@ -356,20 +356,22 @@ def _search_beside(count: int, near: int, table: Any, work: Any) -> int:
             if inside and scores[c] > good * table.beside[table.middle[c]]:
                 break
             inside = False
-        # Where no valley is between the candidates, none of them is a runner-up.
-        for r in range(max(low, c - BESIDE - 1), min(high, c + BESIDE + 2) - 1):
-            inside &= (scores[r] - scores[r + 1]) * (r - c + np.float32(0.5)) >= np.float32(0)
         if not inside:
             continue
-        near = c
+        near = top = c
         for _ in range(2):
             first, last = max(ends[0], c - BESIDE), min(ends[1], c + BESIDE + 1)
             left, right = max(table.start[first], grid[0]), min(table.start[last], grid[1])
             at = _correlate(x, table.unit, left, right, values, 0)
             if owner[at] == c:
-                _keep(p, at, left, right, values[at - left], table, work)
                 break
             c = owner[at]
+        # Where no valley is between the candidates, none of them is a runner-up.
+        inside = owner[at] == c and low <= first and last <= high
+        for r in range(max(low, first), min(high, last) - 1):
+            inside &= (scores[r] - scores[r + 1]) * (r - top + np.float32(0.5)) >= np.float32(0)
+        if inside:
+            _keep(p, at, left, right, values[at - left], table, work)
     return near
 
 
