@@ -64,7 +64,7 @@ def run() -> list[Result]:
     for seed, (name, sets) in enumerate(CODES.items(), start=39_000):
         for ratio in RATIOS:
             results += _spread(name, sets, ratio, seed)
-    return [*results, *_chance_of_error(), *_orders(), *_speed()]
+    return [*results, *_chance_of_error(), *_orders(), *_speed(), *_five_megapixels()]
 
 
 def _light(plan: Plan, coordinate: Floats) -> Floats:
@@ -166,6 +166,17 @@ def _speed() -> Iterator[Result]:
         for label, bounds in (("", None), ("_guided", known)):
             seconds = _seconds(partial(decode_codes, recording, "x", used, bounds))
             yield below(f"seconds_of_{name}{'_smooth' * smooth}{label}", seconds, "s", limit)
+
+
+def _five_megapixels() -> Iterator[Result]:
+    """Processor seconds of 9 images of 2448 x 2048 of a smooth scene, which two quiet cores share."""
+    coordinate, part = _recorded(CODES["micro_9_images"], RATIOS[1], 39_400, (256, 2448), smooth=True)
+    recording = replace(part, frames=[frame[np.arange(8 * 256) % 256] for frame in part.frames])
+    ends = (np.tile((coordinate + d).astype(np.float32), (8, 1)) for d in (-REACH_PX, REACH_PX))
+    known, used = PossibleCoordinates(*ends), sets_of_axis(recording.plan, "x", with_fringes=True)
+    for label, bounds, allowed_s in (("", None, 2.0), ("_guided", known, 0.7)):
+        seconds = _seconds(partial(decode_codes, recording, "x", used, bounds))
+        yield below(f"processor_seconds_of_5_megapixels{label}", seconds, "s", 2 * allowed_s)
 
 
 def _seconds(run: Callable[[], object]) -> float:
