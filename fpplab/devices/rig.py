@@ -241,6 +241,20 @@ class Rig:
             data = config.parse_yaml(config.read_text(file), file)
             return cls(config.validate(with_named_response(data, file), RigFile, file), file.parent, file)
 
+    def changed_at(self) -> dict[Path, int]:
+        """Tell when the files were changed that the rig file names, in ns since 1970.
+
+        Returns
+        -------
+        dict of Path to int
+            Of those in its folder, such as a world file, and those named there by absolute paths.
+        """
+        options = self.file.model_dump(mode="json", exclude_none=True).values()
+        words = [word for section in options if isinstance(section, dict) for word in section.values()]
+        named = (self._folder / word for word in words if isinstance(word, str) and word)
+        places = (place for path in named for place in (path, Path(f"{path}.yaml")))
+        return {place: place.stat().st_mtime_ns for place in places if place.is_file()}
+
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             stack.enter_context(using_rig(self._source))

@@ -62,6 +62,7 @@ class ScanQueue:
             self._last += 1
             status = ScanStatus(id=self._last, ordered_s=time.time(), out=order.out and str(self._out(order)))
             self._store(status, order)
+            self._record(self._last - LIMITS.max_records).unlink(missing_ok=True)
             self._active[status.id] = status
         self._waiting.put((status.id, order))
         return status
@@ -165,7 +166,9 @@ class ScanQueue:
 
     def _recorded(self, number: int) -> ScanStatus | None:
         read = self._read(number)
-        return read and read[0]
+        if read is None or read[0].state.has_ended:
+            return read and read[0]
+        return read[0].model_copy(update={"state": ScanState.INTERRUPTED})  # by a service that was killed
 
     def _read(self, number: int) -> tuple[ScanStatus, ScanOrder] | None:
         path = self._record(number)
@@ -183,18 +186,19 @@ class ScanQueue:
             int(path.stem) for path in self._records.glob("[0-9]*.json") if path.stem.isdecimal()
         )
         self._last = max(numbers, default=0)
-        for number in numbers:
+        for number in numbers[: -LIMITS.max_records]:
+            self._record(number).unlink(missing_ok=True)
+        # Scans are carried out in their order: all before one that has ended have ended.
+        for number in reversed(numbers[-LIMITS.max_records :]):
             status, order = self._read(number) or (None, None)
             if status is None or order is None or status.state.has_ended:
-                continue
+                break
             if _has_all_frames(status):
                 (Path(str(status.out)) / REPORT).unlink(missing_ok=True)  # which says that all is done
                 # Only where a report is still to be drawn may a session have all its frames.
                 order = order.model_copy(update={"force": False, "report": True})
                 self._active[number] = status.model_copy(update={"state": ScanState.QUEUED})
                 self._waiting.put((number, order))
-            else:
-                self._store(status.model_copy(update={"state": ScanState.INTERRUPTED}), order)
 
 
 def _has_all_frames(status: ScanStatus) -> bool:

@@ -27,13 +27,15 @@ class Instrument:
 
     Use it as `with Instrument.open("rig.yaml") as bench: result = bench.scan(plan)`. Each scan gives the
     value and leaves the files that `fpplab scan` does, as if the rig had just been opened. The rig is opened
-    again where its file has changed or a device has failed. One thread at a time may use it.
+    again where its file, or one that it names, has changed, or a device has failed. One thread at a time may
+    use it.
     """
 
     def __init__(self, rig: Rig, calibration: Path, folder: Path) -> None:
         self._rig, self._calibration, self._folder = rig, calibration, folder
         self._file = Path(rig.source).resolve()
         self._is_open = False
+        self._changed_at: dict[Path, int] = {}
 
     @classmethod
     def open(
@@ -73,6 +75,7 @@ class Instrument:
         import fpplab.report.scans
         import fpplab.results.scan  # noqa: F401
 
+        self._changed_at = self._rig.changed_at()
         self._rig.__enter__()
         self._is_open = True
         return self
@@ -138,6 +141,8 @@ class Instrument:
         from fpplab.patterns.plan import Plan
         from fpplab.workflows.scan import ScanRequest
 
+        observer = observer or Observer()
+        self._renew(observer)
         named = plan if isinstance(plan, Path | str) else None
         given = self._calibration if calibration is None else calibration
         file = None if isinstance(given, Calibration) else Path(given)
@@ -153,7 +158,7 @@ class Instrument:
             plan_name="plan" if named is None else str(named),
             calibration_file=file,
         )
-        return self.run(request, observer or Observer())
+        return self._run(request, observer)
 
     def run_order(self, order: ScanOrder, out: Path | str, observer: Observer) -> ScanResult:
         """Measure what a client of a service orders; see `scan`.
@@ -174,34 +179,18 @@ class Instrument:
         """
         from fpplab.workflows.scan import request_of_order
 
+        self._renew(observer)
         calibration = Path(order.calibration) if order.calibration else self._calibration
         request = request_of_order(order, self._rig, Path(out), calibration, self.calibration_of)
-        return self.run(request, observer)
+        return self._run(request, observer)
 
-    def run(self, request: ScanRequest, observer: Observer) -> ScanResult:
-        """Measure what a request of the instrument's rig asks for; see `scan`.
-
-        Parameters
-        ----------
-        request : ScanRequest
-            Whose rig is replaced by the open one.
-        observer : Observer
-            Told of each stage.
-
-        Returns
-        -------
-        ScanResult
-            Points with their verdict.
-        """
-        from dataclasses import replace
-
+    def _run(self, request: ScanRequest, observer: Observer) -> ScanResult:
         from fpplab.devices.simulation import Restartable
         from fpplab.workflows.scan import scan_on_open_rig
 
-        self._renew()
         if isinstance(self._rig.simulation, Restartable):
             self._rig.simulation.restart()
-        return scan_on_open_rig(replace(request, rig=self._rig), observer)
+        return scan_on_open_rig(request, observer)
 
     def calibration_of(self, file: Path | str) -> Calibration:
         """Load a calibration, which is kept as long as its file stays as it is.
@@ -239,8 +228,8 @@ class Instrument:
                 return self._folder / name
         raise ConfigError(f"{self._folder}: holds scan_0001 to scan_9999; name another folder")
 
-    def _renew(self) -> None:
-        """Open the rig again where its file says something else now, or a device is in fault."""
+    def _renew(self, observer: Observer) -> None:
+        """Open the rig again where its file or one that it names has changed, or a device is in fault."""
         from fpplab.devices import State
         from fpplab.devices.rig import Rig
 
@@ -249,8 +238,11 @@ class Instrument:
         if self._is_open:
             devices = (self._rig.camera, self._rig.projector, self._rig.stage, self._rig.fixture)
             failed = any(device is not None and device.state is not State.IDLE for device in devices)
-            if not failed and now.file == self._rig.file:
+            has_changed = now.file != self._rig.file or now.changed_at() != self._changed_at
+            if not failed and not has_changed:
                 return
+            cause = "a device failed" if failed else "the file, or one that it names, has changed"
+            observer.message(f"{now.source}: {cause}; the rig is opened again")
             self.__exit__(None, None, None)
         self._rig = now
         self.__enter__()

@@ -8,6 +8,7 @@ import ssl
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,22 @@ def test_results_are_found_again_and_nothing_is_lit_unasked(
     assert first is not None
     assert first.result == {"points": 2, "cloud": "x"}
     assert later.accept(ScanOrder(out="b")).id == 3
+
+
+def test_the_latest_records_are_kept_and_read_when_they_are_asked_for(
+    queue: Orders, bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fpplab.service.queue.LIMITS", replace(LIMITS, max_records=3))
+    for _ in range(5):
+        queue.accept(ScanOrder(out="a"))
+        queue.work_once(0)
+    records = tmp_path / "out" / ".scans"
+    assert sorted(path.stem for path in records.iterdir()) == ["000003", "000004", "000005"]
+    (records / "000003.json").write_text("not asked for")
+    later = Orders(bench, tmp_path / "out")
+    assert [status.id for status in later.latest(2)] == [5, 4]
+    with pytest.raises(DataError, match="is not the record of a scan"):
+        later.get(3)
 
 
 def test_an_interruption_is_recorded_and_goes_on(queue: Orders, bench: Bench) -> None:
