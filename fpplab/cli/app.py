@@ -8,10 +8,11 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from fpplab.cli import logs
+from fpplab.cli import console, logs
 from fpplab.cli.advice import unknown_command
 from fpplab.cli.completion import config_option, option
 from fpplab.cli.lists import global_first
+from fpplab.cli.trace import TRACE
 from fpplab.core.confirmation import ConfirmationRequired, confirm_in_advance
 from fpplab.core.errors import Cancelled, ConfigError
 from fpplab.core.lattice import Lattice
@@ -79,6 +80,7 @@ def _show_version(requested: bool) -> None:
 
 @app.callback()
 def _fpplab(
+    context: typer.Context,
     _version: Annotated[
         bool, option("--version", "Print the version.", is_eager=True, callback=_show_version)
     ] = False,
@@ -91,7 +93,7 @@ def _fpplab(
         option(
             "--trace",
             "Also log everything sent to and received from the devices: in the session's log, in the "
-            "file of --log, and with --verbose on stderr.",
+            "file of --log, and with --verbose on stderr. At the end print the time and data of each phase.",
         ),
     ] = False,
     allow: Annotated[
@@ -120,6 +122,9 @@ def _fpplab(
         allow_backends(allow_backend)
     confirm_in_advance(allow or ())
     trace_devices(trace)
+    if trace:
+        TRACE.enabled = True
+        context.call_on_close(console.print_trace)
     logs.start_logging(verbose, log, sys.argv[1:])
 
 

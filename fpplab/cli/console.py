@@ -18,6 +18,7 @@ from rich.markup import escape
 from rich.segment import Segment
 
 from fpplab.cli.tables import NOT_PRINTED, as_table, printable, readable
+from fpplab.cli.trace import COLUMNS, TRACE
 from fpplab.core import interrupts
 from fpplab.core.errors import Cancelled, ConfigError, DataError, FppError
 from fpplab.core.extras import missing_extra
@@ -51,7 +52,7 @@ _log = logging.getLogger(__name__)
 def progress(description: str) -> Iterator[Progress]:
     start = time.perf_counter()
     try:
-        with telling_progress(description) as (report, _):
+        with TRACE.phase(description), telling_progress(description) as (report, _):
             yield report
     finally:
         seconds = time.perf_counter() - start
@@ -111,7 +112,12 @@ def print_verdict_and_result(
     diagnosis.require_usable(name, result)
 
 
-def table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
+def print_trace() -> None:
+    if TRACE.enabled:
+        table("Where the time went", [*COLUMNS], TRACE.rows(), stderr)
+
+
+def table(title: str, columns: list[str], rows: list[list[Any]], console: Console = stdout) -> None:
     from rich.table import Table
 
     grid = Table(title=title, title_justify="left")
@@ -119,7 +125,7 @@ def table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
         grid.add_column(column, justify="left" if i == 0 else "right")
     for row in rows:
         grid.add_row(*(readable(cell) for cell in row))
-    stdout.print(grid)
+    console.print(grid)
 
 
 @contextmanager
