@@ -9,7 +9,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fpplab.core.conventions import Floats, Lattice, Mask
 
@@ -39,6 +38,8 @@ class RigidTransform:
     @cached_property
     def rotation_vector(self) -> Floats:
         """OpenCV's rotation vector in rad, (3,), read-only."""
+        from scipy.spatial.transform import Rotation  # a tenth of a second that reading files does not need
+
         # Not OpenCV's own inverse, which returns zero for every angle below 1e-5 rad.
         vector = np.array(Rotation.from_matrix(self.rotation).as_rotvec(), np.float64)
         vector.flags.writeable = False

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 from scipy.special import erfc
 
 from fpplab.core.conventions import Axis, Floats, Lattice, axis_length
@@ -64,6 +63,8 @@ def code_table(
     length = axis_length(size, axis)
     coordinate = np.arange(-0.5 + 0.5 * GRID_PX, length - 0.5, GRID_PX)
     shown = _shown(sets, coordinate, length, diamond=lattice is Lattice.DIAMOND and axis == "x")
+    from scipy.ndimage import gaussian_filter1d  # which plans without codes do not need
+
     light = gaussian_filter1d(shown, max(blur_px, 1e-3) / GRID_PX, axis=0, mode="nearest")
     light -= light.mean(axis=1, keepdims=True)
     scale = np.linalg.norm(light, axis=1)

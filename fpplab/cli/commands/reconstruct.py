@@ -65,14 +65,17 @@ def reconstruct_command(
         )
         return
     from fpplab.calibration.model import Calibration
+    from fpplab.sessions.session import Session
+
+    opened, known_calibration = Session.open(session), Calibration.load(calibration)
+    # What is wrong so far is refused before the heavy modules are loaded.
     from fpplab.diagnosis import load_limits
     from fpplab.pipeline.decoding import parse_known
-    from fpplab.sessions.session import Session
     from fpplab.workflows.reconstruct import ReconstructionRequest, run_reconstruction
 
     request = ReconstructionRequest(
-        session=Session.open(session),
-        calibration=Calibration.load(calibration),
+        session=opened,
+        calibration=known_calibration,
         out=out,
         depth_mm=depth,
         known_mm=parse_known(known or ()),
