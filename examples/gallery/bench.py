@@ -4,6 +4,8 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +14,9 @@ import numpy as np
 import trimesh
 import yaml
 
-from fpplab import Plan, Rig, Session, decode, load_cloud, scan
-from fpplab.diagnosis import UselessScanError
+from fpplab import Cloud, Plan, Rig, Session, decode, load_cloud, scan
+from fpplab.calibration.model import CalibrationOrigin
+from fpplab.diagnosis import Diagnosis, UselessScanError
 from fpplab.diagnosis.record import load_diagnosis
 from sim.dataset.labels import trace_labels
 from sim.studio import SceneTruth
@@ -30,6 +33,7 @@ RIG = {
     "fixture": {"backend": "virtual_fixture"},
 }
 STILL = {"rotation_deg": [0, 0, 0], "translation_mm": [0, 0, 0]}
+mpl.rcParams["font.size"] = 16  # legible where a page shows the picture half as wide
 
 
 def merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
@@ -47,32 +51,65 @@ def plan_of(stripes: tuple[float, ...] = (1, 8, 64), steps: int = 6, **more: Any
     return Plan.model_validate({"fringes": fringes, "exposure_s": 0.02, "filter": {}, **more})
 
 
+@dataclass(frozen=True)
+class Measured:
+    """One scan of the gallery: frames, coordinates, points or none, errors of depth in µm, what is shown."""
+
+    frames: Any
+    coordinate: Any
+    cloud: Cloud | None
+    error_um: Any
+    diagnosis: Diagnosis
+    rows: tuple[int, int]
+    columns: tuple[int, int]
+
+
 def show(
+    world: Mapping[str, Any] | None = None, plan: Plan | None = None, limit_um: float = 30.0, **more: Any
+) -> None:
+    """Measure as `measured` does, and draw a frame, the errors and the verdict into `sys.argv[1]`."""
+    with tempfile.TemporaryDirectory() as place:
+        draw(measured(Path(place), world, plan, **more), limit_um)
+
+
+def measured(
+    folder: Path,
     world: Mapping[str, Any] | None = None,
     plan: Plan | None = None,
     item: str = "pyramid",
     shape: trimesh.Trimesh | None = None,
     moved: Mapping[str, Any] | None = None,
-    limit_um: float = 30.0,
-) -> None:
-    """Measure an item on the changed bench, and draw a frame, the errors and the verdict into `sys.argv[1]`.
+    verified: bool = False,
+) -> Measured:
+    """Measure an item on the changed bench.
 
     `world` is what differs from the demonstration's world file, `shape` a further item in the camera's frame,
-    `moved` what changes after the calibration.
+    `moved` what changes after the calibration, `verified` whether a board has just confirmed the calibration.
     """
     base = yaml.safe_load((CONFIGS / "world_demo.yaml").read_text(encoding="utf-8"))
     changed = merged(merged(base, {"camera": {"binning": 8}}), world or {})
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        (folder / "rig.yaml").write_text(yaml.safe_dump(RIG), encoding="utf-8")
-        if shape is not None:
-            shape.export(folder / "shape.stl")
-            changed["items"][item] = {"mesh": "shape.stl", "pose": STILL}
-        truth = truth_of(folder, changed, item)
-        save(folder, merged(changed, moved or {}))
-        with Rig.load(folder / "rig.yaml") as rig, suppress(UselessScanError):
-            scan(rig, plan or plan_of(), truth.calibration, folder / "scan", (item, 0), report=False)
-        draw(folder, trace_labels(truth).depth, limit_um)
+    rig_file = RIG | ({"geometry": {"max_age_h": 1}} if verified else {})
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig_file), encoding="utf-8")
+    if shape is not None:
+        shape.export(folder / "shape.stl")
+        changed["items"][item] = {"mesh": "shape.stl", "pose": STILL}
+    truth = truth_of(folder, changed, item)
+    save(folder, merged(changed, moved or {}))
+    calibration = truth.calibration
+    if verified:
+        calibration = replace(calibration, origin=CalibrationOrigin.now(poses_taken=datetime.now(UTC)))
+    with Rig.load(folder / "rig.yaml") as rig, suppress(UselessScanError):
+        scan(rig, plan or plan_of(), calibration, folder / "scan", (item, 0), report=False)
+    recording = Session.open(folder / "scan").recording()
+    coordinate = decode(recording).u
+    cloud, error_um = None, np.full(coordinate.shape, np.nan)
+    if (folder / "scan" / "cloud.ply").is_file():
+        cloud = load_cloud(folder / "scan" / "cloud.ply")
+        column, row = cloud.pixels.T
+        error_um[row, column] = 1e3 * (cloud.points[:, 2] - trace_labels(truth).depth[row, column])
+    frames = [np.asarray(frame) for frame in recording.frames]
+    diagnosis = load_diagnosis(folder / "scan").diagnosis()
+    return Measured(frames, coordinate, cloud, error_um, diagnosis, *part_in(frames))
 
 
 def save(folder: Path, world: Mapping[str, Any]) -> None:
@@ -97,31 +134,22 @@ def part_in(frames: Any) -> tuple[tuple[int, int], tuple[int, int]]:
     return (rows[0] - 15, rows[-1] + 15), (columns[0] - 15, columns[-1] + 15)
 
 
-def draw(folder: Path, true_depth: Any, limit_um: float) -> None:
-    """Three pictures beside each other: a frame, what was decoded, and the error, under the verdict."""
-    session = Session.open(folder / "scan")
-    recording, diagnosis = session.recording(), load_diagnosis(folder / "scan").diagnosis()
-    decoded = decode(recording)
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
-    left.imshow(recording.frames[-1], cmap="gray", vmin=0, vmax=recording.full_scale)
-    left.set_title("the last frame")
-    figure.colorbar(middle.imshow(decoded.u), ax=middle, label="projector column, px")
-    middle.set_title("decoded")
-    error_um = np.full(decoded.u.shape, np.nan)
-    if (folder / "scan" / "cloud.ply").is_file():
-        cloud = load_cloud(folder / "scan" / "cloud.ply")
-        column, row = cloud.pixels.T
-        error_um[row, column] = 1e3 * (cloud.points[:, 2] - true_depth[row, column])
-        right.set_title(f"error in depth, {np.nanmedian(np.abs(error_um)):.0f} µm in the median")
-    else:
-        right.set_title("no points are written")
-    shown = right.imshow(error_um, cmap="RdBu_r", vmin=-limit_um, vmax=limit_um)
+def draw(scan: Measured, limit_um: float) -> None:
+    """A frame and what was decoded, side by side above the error, under the verdict."""
+    figure = plt.figure(figsize=(8.6, 8.2), layout="constrained")
+    left, middle, right = (figure.add_subplot(place) for place in (221, 222, 212))
+    left.imshow(scan.frames[-1], cmap="gray", vmin=0, vmax=255)
+    left.set_title("last frame")
+    middle.imshow(scan.coordinate)
+    middle.set_title("decoded coordinate")
+    median_um = np.nanmedian(np.abs(scan.error_um)) if scan.cloud else 0.0
+    right.set_title(f"error of depth, median {median_um:.0f} µm" if scan.cloud else "no points written")
+    shown = right.imshow(scan.error_um, cmap="RdBu_r", vmin=-limit_um, vmax=limit_um)
     figure.colorbar(shown, ax=right, label="µm")
-    rows, columns = part_in(recording.frames)
     for axis in (left, middle, right):
         axis.axis("off")
-        axis.set(xlim=columns, ylim=rows[::-1])
-    causes = ", ".join(finding.cause.key for finding in diagnosis.findings)
-    figure.suptitle(f"{diagnosis.verdict}{': ' + causes if causes else ''}", fontweight="bold")
+        axis.set(xlim=scan.columns, ylim=scan.rows[::-1])
+    causes = ", ".join(finding.cause.key for finding in scan.diagnosis.findings)
+    figure.suptitle(f"{scan.diagnosis.verdict}{': ' + causes if causes else ''}", fontweight="bold")
     figure.savefig(sys.argv[1], dpi=80)
-    print(diagnosis.sentence)
+    print(scan.diagnosis.sentence)

@@ -1,5 +1,5 @@
-"""A good scan: nothing is wrong."""
+"""A good scan, shortly after a board has confirmed the calibration."""
 
 from bench import show
 
-show()
+show(verified=True)

