@@ -166,6 +166,7 @@ class GenicamCamera(Camera):
             self._bayer(),
             strobe=self._options.strobe is not None,
             buffers=held_frames(features.read(named.PAYLOAD_BYTES) or self._frame_bytes()),
+            exposure_step_s=features.step(named.EXPOSURE_US) / US_PER_S,
         )
 
     def _frame_bytes(self) -> int:

@@ -42,6 +42,12 @@ class Features:
             raise CapabilityError(self._device, "caps", f"the camera has no {feature[0]}")
         return float(node.GetMin()), float(node.GetMax())
 
+    def step(self, feature: FeatureNames) -> float:
+        """Read the step of a number that is not whole; 0 where the camera states none."""
+        node = self._node(feature)
+        stated = node.IsValid() and not _is_integer(node) and node.HasInc()
+        return float(node.GetInc()) if stated else 0.0
+
     def choices(self, feature: FeatureNames) -> tuple[str, ...]:
         """List the values that an enumeration can be set to at present."""
         node = self._node(feature)

@@ -55,6 +55,9 @@ class NumberNode(SwitchNode):
     def GetMax(self) -> Any:
         return self._node.max
 
+    def HasInc(self) -> bool:
+        return bool(self._node.has_inc())
+
     def GetInc(self) -> Any:
         return self._node.inc
 

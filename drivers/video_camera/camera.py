@@ -280,6 +280,7 @@ class VideoCamera(FreeRunningCamera):
             self._gain_limits_db(),
             ("software",),
             0.0 if self._options.shutter == "global" else period_s,
+            exposure_step_s=self._exposure.step * UNIT_S,
         )
 
     def _disconnected(self, operation: str) -> DisconnectedError:

@@ -104,6 +104,22 @@ def test_a_bayer_camera_says_which_colours_its_pixels_see(opened: Open) -> None:
     assert (camera.caps.bayer, camera.caps.bits) == ("RGGB", (8, 12))
 
 
+def test_the_step_of_exposures_is_that_of_sensor_rows(opened: Open) -> None:
+    def in_rows(end: MakerEnd) -> None:
+        own = end._node
+
+        def node(name: str) -> Any:
+            found = own(name)
+            if name == "ExposureTime":
+                found.HasInc, found.GetInc = lambda: True, lambda: 14.8
+            return found
+
+        end._node = node  # type: ignore[method-assign]
+
+    assert opened("ids", in_rows)[0].caps.exposure_step_s == pytest.approx(14.8e-6)
+    assert opened("ids")[0].caps.exposure_step_s == 0.0
+
+
 def test_the_gain_of_the_digital_part_is_switched_off_and_the_sensors_own_is_set(opened: Open) -> None:
     camera, end, _ = opened("ids")
     camera.configure(CameraSettings(0.02, 12.0, BITS))
