@@ -89,7 +89,7 @@ def test_the_cameras_of_the_page_pass_the_conformance_suite(tmp_path: Path, trig
     done = run_suite(tmp_path, camera(), emulated(triggered), ALL)
     assert done.returncode == 0, done.stdout
     assert count(done.stdout, "passed", "skipped") == told()[1], done.stdout
-    assert count(done.stdout, "skipped") == (not triggered), done.stdout
+    assert count(done.stdout, "skipped") == 1 + (not triggered), done.stdout  # its frames take no time
 
 
 @pytest.mark.nightly
