@@ -8,7 +8,7 @@ device interface.
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -43,22 +43,17 @@ class ReferenceBench:
     """The light between the devices."""
 
     options: dict[str, Any]
+    following: deque[Pattern] = field(default_factory=deque)  # patterns that ends of exposures bring
 
     def open(self) -> None:
         self.on_show: Pattern | None = None
         self.pulses: deque[Pattern] = deque()
         self.frames_to_lose = 0
-        self.following: deque[Pattern] = deque()
         self.reflectance = 1.0
         self.random = np.random.default_rng(1)
 
     def close(self) -> None:
         self.on_show = None
-
-    def exposure_ended(self) -> None:
-        """End a pulse at the projector's input."""
-        if self.following:
-            self.on_show = self.following.popleft()
 
     def lose_frames(self, n: int) -> None:
         """Lose the next frames on the link from the camera."""
@@ -134,7 +129,8 @@ class ReferenceCamera(Camera):
             pattern.id or None if pattern else None,
         )
         self._count += 1
-        self._bench.exposure_ended()
+        if following := getattr(self._bench, "following", None):
+            self._bench.on_show = following.popleft()
         return frame
 
     def _arrived(self) -> Pattern | None:
@@ -193,13 +189,11 @@ class ReferenceProjector(Projector):
         self._bench.pulses.extend(self._held)
 
     def _follow(self) -> None:
-        self._bench.following.clear()
-        self._bench.following.extend([*self._held, self._held[-1]])
-        self._bench.exposure_ended()
+        first, *others = self._held
+        self._bench.on_show, self._bench.following = first, deque(others)
 
     def _blank(self) -> None:
-        self._bench.following.clear()
-        self._bench.on_show = None
+        self._bench.on_show, self._bench.following = None, deque()
 
 
 class ReferenceStage(Stage):
