@@ -10,7 +10,7 @@ from fpplab.core.errors import ConfigError, LimitError
 from fpplab.devices import StageCaps
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan, StagePosition
-from fpplab.pipeline import plan_stage_moves, take_or_resume_session
+from fpplab.pipeline.taking import plan_stage_moves, take_or_resume_session
 from fpplab.sessions.origin import session_origin
 from tests.conformance.bench import FLAT
 from tests.conformance.reference import ReferenceCamera, ReferenceStage
