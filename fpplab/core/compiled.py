@@ -20,6 +20,9 @@ def kernel(**options: Any) -> Callable[[_Function], _Function]:
 
 
 def kernel_part(**options: Any) -> Callable[[_Function], _Function]:
-    """Called from Python, a part runs as Python."""
+    """Called from Python, a part runs as Python.
+
+    What a parallel loop itself calls is better a kernel: parts are compiled for the loop and again around it.
+    """
     decorator: Callable[[_Function], _Function] = register_jitable(no_cfunc_wrapper=True, **options)
     return decorator

@@ -300,7 +300,7 @@ def _epipolar_distance_px(
 
 
 # Contracting to multiply-adds changes the last bits only, and NaN keeps its meaning.
-@kernel_part(error_model="numpy", fastmath={"contract"})
+@kernel(error_model="numpy", fastmath={"contract"})
 def _solve_pixel(
     ray: Ray,
     u: float,
@@ -333,7 +333,7 @@ def _solve_pixel(
     return np.nan, np.nan, np.nan, shift[0], shift[1]
 
 
-@kernel_part(error_model="numpy", fastmath={"contract"})
+@kernel(error_model="numpy", fastmath={"contract"})
 def _solve_stretch(
     across: Floats,
     down: Floats,

@@ -20,7 +20,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.compiled import kernel, kernel_part
+from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
 from sim.light.blurred_pictures import BlurredPictureCache, BlurredPictures, unblurred_picture
@@ -337,7 +337,7 @@ def _trace(
                 slopes[k, i, 0], slopes[k, i, 1] = light * by_x / wide, light * by_y / tall
 
 
-@kernel_part(error_model="numpy")
+@kernel(error_model="numpy")
 def _fill_motion(
     x: float,
     y: float,
@@ -389,7 +389,7 @@ def _between_sizes(spot: float, variances: Floats) -> tuple[int, float]:
     return size, min(max(share, 0.0), 1.0)
 
 
-@kernel_part(error_model="numpy")  # inlined three times it takes seconds more to compile
+@kernel(error_model="numpy")  # inlined three times it takes seconds more to compile
 def _reflected_light(
     picture: Irradiance,
     across: Irradiance,
