@@ -35,8 +35,37 @@ def above(name: str, value: float, unit: str, least: float) -> Result:
     return Result(name, value, unit, least, value / least)
 
 
-SHARED = ("hidden", "limit_decoding", "limit_lattice", "limit_noise", "optimise_workers", "peak", "virtual")
+SHARED = (
+    "hidden",
+    "limit_decoding",
+    "limit_lattice",
+    "limit_noise",
+    "machine",
+    "optimise_workers",
+    "peak",
+    "virtual",
+)
 """Modules of this package that are no benchmarks of their own."""
+
+
+SPEEDS = (
+    "acquire",
+    "characterise",
+    "characterise_pose",
+    "codes",
+    "compare",
+    "decode",
+    "last_frame_to_cloud",
+    "match",
+    "optimise",
+    "predict",
+    "projector",
+    "service",
+    "triangulate",
+    "twin",
+    "viewer",
+)
+"""Benchmarks of speed, beside which what memory and disk of the machine allow is measured."""
 
 
 LONG = (

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from benchmarks import LONG, benchmark, benchmark_names
+from benchmarks import LONG, SPEEDS, benchmark, benchmark_names
+from benchmarks.machine import machine_figures
 from fpplab.cli import console
 from fpplab.cli.app import Json
 
@@ -25,6 +26,8 @@ def benchmarks_command(
     for one in [name] if name else [one for one in benchmark_names() if one not in LONG]:
         console.log_status(f"Running {one} …")
         results += [asdict(result) for result in benchmark(one)()]
+        if one in SPEEDS:
+            results += [asdict(result) for result in machine_figures()]
     rows = [list(result.values()) for result in results]
     columns = ["name", "value", "unit", "baseline", "ratio"]
     console.print_result({"results": results}, json, lambda: console.table("Benchmarks", columns, rows))

@@ -15,7 +15,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from statistics import median
 from types import TracebackType
@@ -26,6 +25,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from benchmarks import Result
+from benchmarks.machine import read_memory
 from benchmarks.peak import peak_of
 from fpplab.core.conventions import TWO_PI, Lattice, Map, Mask
 from fpplab.core.errors import DataError
@@ -34,7 +34,6 @@ from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.phase.kernels import read_all
 
 CAMERA = (5472, 3648)
 PROJECTOR = (912, 1140)
@@ -133,19 +132,14 @@ def _versus_fringes(frames: FrameStack, paths: list[Path]) -> Result:
 def _bandwidth(frames: FrameStack) -> Result:
     """GB of frames per second while decoding, beside plain reading of the same frames."""
     size = sum(f.nbytes for f in frames)
-    result = _in_turn(lambda: _product(frames), lambda: _seconds(lambda: _read(frames)), "", REPEATS)
+    result = _in_turn(
+        lambda: _product(frames),
+        lambda: _seconds(lambda: read_memory(frames, os.cpu_count() or 1)),
+        "",
+        REPEATS,
+    )
     value, machine = size / result.value / 1e9, size / result.baseline / 1e9
     return Result("decode_bandwidth", value, "GB/s", machine, value / machine)
-
-
-def _read(frames: FrameStack) -> None:
-    """Touch every byte of every frame once, on all processors, as fast as the machine can."""
-    words = [f.reshape(-1)[: f.size // 8 * 8].view(np.uint64) for f in frames]
-    workers, n = os.cpu_count() or 1, len(words[0])
-    like, edges = np.empty(0, np.uint64), [n * k // workers for k in range(workers + 1)]
-    addresses = np.array([w.ctypes.data for w in words], np.uintp)
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(lambda k: read_all(addresses, like, edges[k], edges[k + 1]), range(workers)))
 
 
 def _memory(paths: list[Path]) -> Result:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from fpplab.clouds import Cloud
 from fpplab.clouds.pixelgrid import PixelColumnsRows, PixelGrid
 from fpplab.clouds.selection import places_of
-from fpplab.clouds.surfaces import is_continuous
+from fpplab.clouds.surfaces import is_continuous, mark_isolated_steps
 from fpplab.core import buffers
 from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Map, Mask
@@ -76,7 +76,7 @@ def apply_filter(
     mark_small_regions(grid.w, across, down, rules.patch_min, removed, Rule.ISOLATED)
     _erase(grid.w, removed)
     if rules.flying:
-        _mark_flying_pixels(grid.a, grid.b, grid.w, grid.noise, removed)
+        mark_isolated_steps(grid.a, grid.b, grid.w, grid.noise, _FLYING_NOISE, Rule.FLYING.value, removed)
         _erase(grid.w, removed)
     kept = buffers.empty(grid.count, np.bool_)
     _keep(grid.index, grid.w, kept)
@@ -163,30 +163,6 @@ def _half_lit(
             noisy = LIMITS.significant_sigmas * own * total * phase_per_px
             if own < light_min * full and full - own > noisy:
                 removed[v, u] = Rule.HALF_LIT.value
-
-
-@kernel(parallel=True, error_model="numpy")
-def _mark_flying_pixels(a: Map, b: Map, w: Map, noise: Map, removed: Removed) -> None:
-    height, width = w.shape
-    for v in prange(height):
-        for u in range(width):
-            if np.isnan(w[v, u]):
-                continue
-            majority = 0
-            for y in range(max(v - 1, 0), min(v + 2, height)):
-                for x in range(max(u - 1, 0), min(u + 2, width)):
-                    if np.isnan(w[y, x]) or (y == v and x == u):
-                        continue
-                    joined = is_continuous(
-                        a[y, x] - a[v, u],
-                        b[y, x] - b[v, u],
-                        w[y, x] - w[v, u],
-                        min(w[v, u], w[y, x]),
-                        _FLYING_NOISE * (noise[v, u] + noise[y, x]),
-                    )
-                    majority += 1 if joined else -1
-            if majority < 0:
-                removed[v, u] = Rule.FLYING.value
 
 
 @kernel(parallel=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -47,8 +48,8 @@ class RayGrid:
 
     def interpolate(self, values: Floats, points: AnyPoints, out: Singles) -> None:
         """Interpolate by cubic polynomials to `finer_steps` times as many nodes, linearly between those."""
-        # values (nodes, K); points (N, 3); out (K, N)
-        finer = values.reshape(*NODES, -1)
+        # values (nodes, 2); points (N, 3); out (2, N)
+        finer = values.reshape(*NODES, 2)
         for axis, nodes in enumerate(NODES):
             finer = np.moveaxis(np.tensordot(_cubic_weights(nodes), finer, (1, axis)), 0, axis)
         per_step = LIMITS.finer_steps * (np.array(NODES) - 1) / (self.upper - self.lower)
@@ -72,30 +73,37 @@ def _cubic_weights(nodes: int) -> Floats:
 
 @kernel(parallel=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _interpolate(points: AnyPoints, lower: Floats, per_step: Floats, values: Singles, out: Singles) -> None:
-    nodes_x, nodes_y, nodes_z, count = values.shape
+    nodes_x, nodes_y, nodes_z = values.shape[:3]
     flat = values.reshape(-1)  # with one index instead of four
-    per_x, per_y = nodes_y * nodes_z * count, nodes_z * count
+    per_x, per_y = np.uintp(2 * nodes_y * nodes_z), np.uintp(2 * nodes_z)
+    first, second = out[0], out[1]
     for p in prange(len(points)):
         inverse = 1.0 / points[p, 2]
         x = (points[p, 0] * inverse - lower[0]) * per_step[0]
         y = (points[p, 1] * inverse - lower[1]) * per_step[1]
         z = (points[p, 2] - lower[2]) * per_step[2]
         if not (0.0 <= x <= nodes_x - 1 and 0.0 <= y <= nodes_y - 1 and 0.0 <= z <= nodes_z - 1):
-            out[:, p] = np.nan
+            first[p] = second[p] = np.nan
             continue
         i, j, k = min(int(x), nodes_x - 2), min(int(y), nodes_y - 2), min(int(z), nodes_z - 2)
-        x, y, z = x - i, y - j, z - k
-        for n in range(count):
-            at = i * per_x + j * per_y + k * count + n
-            near = _bilinear(flat, at, per_y, count, y, z)
-            out[n, p] = near + x * (_bilinear(flat, at + per_x, per_y, count, y, z) - near)
+        at = np.uintp(i) * per_x + np.uintp(j) * per_y + np.uintp(2 * k)
+        x, y, z = np.float32(x - i), np.float32(y - j), np.float32(z - k)
+        first[p] = _trilinear(flat, at, per_x, per_y, x, y, z)
+        second[p] = _trilinear(flat, at + np.uintp(1), per_x, per_y, x, y, z)
 
 
 @njit(inline="always")
-def _bilinear(flat: Singles, at: int, per_y: int, per_z: int, y: float, z: float) -> float:
+def _trilinear(flat: Singles, at: Any, per_x: Any, per_y: Any, x: Any, y: Any, z: Any) -> Any:
+    near, far = _bilinear(flat, at, per_y, y, z), _bilinear(flat, at + per_x, per_y, y, z)
+    return near + x * (far - near)
+
+
+@njit(inline="always")
+def _bilinear(flat: Singles, at: Any, per_y: Any, y: Any, z: Any) -> Any:
+    per_z = np.uintp(2)
     near = flat[at] + z * (flat[at + per_z] - flat[at])
     far = flat[at + per_y] + z * (flat[at + per_y + per_z] - flat[at + per_y])
-    return float(near + y * (far - near))
+    return near + y * (far - near)
 
 
 @kernel(parallel=True)
