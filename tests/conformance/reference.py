@@ -193,7 +193,8 @@ class ReferenceProjector(Projector):
         self._bench.on_show, self._bench.following = first, deque(others)
 
     def _blank(self) -> None:
-        self._bench.on_show, self._bench.following = None, deque()
+        self._bench.following = deque()
+        self._bench.on_show = None
 
 
 class ReferenceStage(Stage):
