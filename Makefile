@@ -7,6 +7,8 @@ WORKERS ?= 2
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PARALLEL := -n $(WORKERS) --dist worksteal
+# Without bytecode, every process of a test run would compile all modules and rewrite all assertions again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo docs lint test test-whole test-nightly test-twin test-usb
 .PHONY: nightly crash fuzz soak mutants full-disk faults release bench clean
