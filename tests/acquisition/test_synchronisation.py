@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
-from fpplab import pipeline
 from fpplab.acquisition.acquire import _ends_black_and_white
 from fpplab.acquisition.synchronisation import (
     LIMITS,
@@ -33,6 +32,8 @@ from fpplab.core.errors import CalibrationError, DataError
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
+from fpplab.pipeline.characterising import observe_session
+from fpplab.pipeline.decoding import decode_session
 from tests.diagnosis.scenes import Bench, plan_of
 from tests.support.rigs import BOARD
 
@@ -311,10 +312,10 @@ def test_a_session_out_of_step_is_refused_by_name(trigger: str) -> None:
     with pytest.raises(
         CalibrationError, match=r"pose_04: every frame shows the pattern before its own"
     ) as told:
-        pipeline.observe_session(session, BOARD, (14.25, 17.8))  # type: ignore[arg-type]
+        observe_session(session, BOARD, (14.25, 17.8))  # type: ignore[arg-type]
     assert synchronisation_remedy(plan) in str(told.value)
     with pytest.raises(DataError, match=r"pose_04: every frame .* --force"):
-        pipeline.decode_session(session)  # type: ignore[arg-type]
+        decode_session(session)  # type: ignore[arg-type]
 
 
 @pytest.mark.whole_after(2)
