@@ -40,8 +40,9 @@ class Document(BaseModel):
         schema = handler(core_schema)
         properties = handler.resolve_ref_schema(schema).get("properties", {})
         for name, text in field_descriptions(cls).items():
-            if name in properties:
-                properties[name].setdefault("description", text)
+            key = cls.model_fields[name].alias or name if name in cls.model_fields else name
+            if key in properties:
+                properties[key].setdefault("description", text)
         return schema
 
 
@@ -52,7 +53,9 @@ def field_descriptions(model: type[Document]) -> dict[str, str]:
     for base in reversed(model.__mro__):
         if not issubclass(base, Document) or base is Document:
             continue
-        with suppress(OSError, TypeError):  # made by `create_model`: no source
+        for source in vars(base).get("described_by", ()):
+            texts |= field_descriptions(source)
+        with suppress(OSError, TypeError):  # made by `create_model`: no source, but perhaps `described_by`
             (definition,) = ast.parse(dedent(inspect.getsource(base))).body
             for field, text in pairwise(getattr(definition, "body", ())):
                 match field, text:

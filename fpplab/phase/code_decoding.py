@@ -24,6 +24,7 @@ from fpplab.phase.noise import QUANTISATION, NoiseModel, fit_line, level_step, s
 _BLOCK = 30_000  # pixels that one thread decodes at a time (chosen: no power of 2, rows share no cache lines)
 _FIGURES = 9  # of each pixel, in the order of `search_codes`
 _OFFSET, _MISFIT, _WIDTH = 3, 4, 8
+_NARROWEST_PX = np.float32(1e-5)  # less than single precision tells of a coordinate
 _Measure = Callable[[NDArray[np.float32]], float]
 
 
@@ -219,7 +220,8 @@ def _likelihoods(figures: NDArray[np.float32], images: int) -> NDArray[np.float3
     """Logarithm of the likelihood of the code at any coordinate."""
     freedom = _freedom(images)
     misfit = np.minimum(figures[_MISFIT], np.float32(surprising_power(freedom)))
-    return np.asarray(np.log(figures[_WIDTH]) - np.float32(0.5 * freedom) * misfit)
+    width = np.maximum(figures[_WIDTH], _NARROWEST_PX)  # 0 px where frames have no noise
+    return np.asarray(np.log(width) - np.float32(0.5 * freedom) * misfit)
 
 
 def level_range(frames: Sequence[Image]) -> Image:

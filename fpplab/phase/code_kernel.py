@@ -29,6 +29,7 @@ BESIDE = 2  # neighbours of a candidate to either side (chosen: those that noise
 _NARROW = 4.0 - 1.0 / 12.0  # variance in squares of grid points (derived: two, less that within a point)
 _ROUNDING = 2e-6  # of a correlation in float32, as a share of the levels' length (chosen)
 _HALVINGS = 6  # of an exponent, for a polynomial to give its power (chosen: 2e-3 of likelihoods at 5 sigma)
+_LARGEST_PART = 1.596  # where the polynomial that stands for exp(-part) is least; it grows beyond
 
 
 _AT, _LEFT, _RIGHT = 0, BATCH, 2 * BATCH  # where rows of `Memory.points` begin
@@ -401,6 +402,7 @@ def _describe(begin: int, end: int, scores: Any, limits: Any, work: Any) -> None
                 value, away = values[block + n], f32(block + n - at)
                 drop = top - value
                 part = (offset + scale * drop * (best + best - drop)) * f32(0.5**_HALVINGS)
+                part = min(part, f32(_LARGEST_PART))
                 weight = f32(1) - part * (
                     f32(1) - part * (f32(1 / 2) - part * (f32(1 / 6) - part * f32(1 / 24)))
                 )

@@ -42,6 +42,7 @@ def _own_fields() -> dict[str, Any]:
 
 
 _KindFields: Any = create_model("_KindFields", __base__=GridFields, **_own_fields())
+_KindFields.described_by = tuple({layout for owners in OWN_FIELDS.values() for layout in owners.values()})
 
 
 class Target(PrintFields, _KindFields, GridFields):  # type: ignore[misc] # fields of the kinds that there are

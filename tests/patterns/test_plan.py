@@ -76,7 +76,11 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         ("exposure_s: 2e-2", "exposure_s: 61", "'exposure_s' is 61: should be less than or equal to 60"),
         ("exposure_s: 2e-2", "exposure_s: 20 ms", "'exposure_s' is '20 ms': should be a valid number"),
         ("exposure_s: 2e-2", "exposure: 0.02", "unknown key 'exposure'"),
-        ("exposure_s: 2e-2", "trigger: loose", "'trigger' is 'loose': should be 'stepped' or 'triggered'"),
+        (
+            "exposure_s: 2e-2",
+            "trigger: loose",
+            "'trigger' is 'loose': should be 'stepped', 'triggered' or 'followed'",
+        ),
         ("stripes: 8.5, steps: 6", "stripes: 8.5", r"'fringes\[1\].steps' is missing"),
         ("steps: 6}", "steps: 6, shift_sign: 0}", r"'fringes\[1\].shift_sign' is 0: should be 1 or -1"),
         (
