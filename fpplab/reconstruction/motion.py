@@ -58,18 +58,22 @@ def compensate_motion(recording: Recording, calibration: Calibration) -> Recordi
     if tiles is None or depth is None:
         return recording
     noise = np.sqrt(tiles.variance / (4.0 * np.pi)) / MOTION.blur_px
-    follower = _Follower(recording, calibration, depth, float(noise))
+    follower = _Follower(recording, calibration, depth[0], float(noise))
     regions = _regions(follower, tiles)
+    if not regions:
+        return recording
     for _ in range(MOTION.passes):
         depth, before = _depth(_as_at_rest(follower, regions), calibration, rough=False), regions
-        if depth is None or not regions:
+        if depth is None:
             break
-        follower = replace(follower, depth=depth)
+        follower = replace(follower, depth=depth[0])
         regions = [_refitted(follower, region) for region in regions]
         changes = [np.abs(a.moved - b.moved).max() for a, b in zip(before, regions, strict=True)]
         if max(changes) < MOTION.tolerance_mm:
             break
-    return _as_at_rest(follower, regions)
+    depth = _depth(_as_at_rest(follower, regions), calibration, rough=False)
+    measured = np.zeros(follower.depth.shape, np.bool_) if depth is None else depth[1]
+    return _as_at_rest(follower, [replace(region, measured=measured) for region in regions])
 
 
 def _shares(recording: Recording) -> Floats:
@@ -146,8 +150,11 @@ def _products(frames: Sequence[Image], apart: int) -> Floats:
     return np.asarray(levels @ np.swapaxes(levels, -1, -2), np.float64)
 
 
-def _depth(recording: Recording, calibration: Calibration, *, rough: bool) -> Floats | None:
-    """Distance of every pixel along the camera's axis, where motion spoils it by the median around."""
+def _depth(recording: Recording, calibration: Calibration, *, rough: bool) -> tuple[Floats, Mask] | None:
+    """Distance of every pixel along the camera's axis, where motion spoils it by the median around it.
+
+    Also which pixels became points that lie there, and not by whole periods beside it.
+    """
     plan = recording.plan
     if rough:
         masks = plan.masks.model_copy(
@@ -168,7 +175,8 @@ def _depth(recording: Recording, calibration: Calibration, *, rough: bool) -> Fl
     u, v = cloud.pixels.astype(int).T
     depth[v, u] = cloud.points[:, 2]
     nearest = distance_transform_edt(np.isnan(depth), return_distances=False, return_indices=True)
-    return np.asarray(median_filter(depth[tuple(nearest)], MOTION.median_px))
+    around = np.asarray(median_filter(depth[tuple(nearest)], MOTION.median_px))
+    return around, np.abs(depth - around) <= MOTION.max_step_share * around
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,6 +271,7 @@ class _Region:
     mask: Mask  # its pixels
     swept: Mask  # those nearby that neither follow it nor stand still
     residual_ratio: float  # mean square of what it leaves, typically, over that of noise
+    measured: Mask | None = None  # pixels of the image that became points of a surface once compensated
 
 
 def _regions(follower: _Follower, tiles: _Tiles) -> list[_Region]:
@@ -457,8 +466,6 @@ def _part(follower: _Follower, seeds: Pixels, moved: Floats, window_px: int) -> 
 def _as_at_rest(follower: _Follower, regions: Sequence[_Region]) -> Recording:
     """Replace the frames of parts that move; where they passed by, frames show no fringes."""
     recording, follower = follower.recording, replace(follower, blur_px=0.0)
-    if not regions:
-        return recording
     frames = [frame.copy() for frame in recording.frames]
     noise, left = np.ones(follower.depth.shape, np.float32), np.zeros(follower.depth.shape, np.float32)
     parts, passed = list[PartMotion](), np.zeros(noise.shape, np.bool_)
@@ -500,7 +507,8 @@ def _part_motion(follower: _Follower, region: _Region) -> tuple[PartMotion, Floa
     fringe, steps = plan.fringes[k], plan.fringes[k].phase_shifts()
     levels, shifts, _ = follower.followed(pixels, moved, k)
     (_, c, s), _, inverse = _fit(levels, shifts)
-    along = np.stack([np.zeros_like(c), -s, c]) / np.maximum(np.hypot(c, s), 1e-9)
+    modulation = np.hypot(c, s)
+    along = np.stack([np.zeros_like(c), -s, c]) / np.maximum(modulation, 1e-9)
     ratio = np.sqrt(0.5 * len(steps) * np.einsum("ip,pij,jp->p", along, inverse, along))
     phase = np.arctan2(s, c)
     off = np.angle((np.exp(1j * (steps[:, None] - phase)) * np.cos(phase - shifts)).sum(axis=0))
@@ -521,6 +529,14 @@ def _part_motion(follower: _Follower, region: _Region) -> tuple[PartMotion, Floa
         len(pixels),
         to_px * float(np.sqrt(np.mean(off**2))),
         to_px * float(left),
-        bool(np.median(ratio) <= MOTION.max_noise_ratio and region.residual_ratio <= MOTION.max_rest_ratio),
+        bool(np.median(ratio) <= MOTION.max_noise_ratio and region.residual_ratio <= MOTION.max_rest_ratio)
+        and _tells_orders(region, pixels[modulation * follower.recording.grey >= plan.masks.modulation_min]),
     )
     return part, ratio
+
+
+def _tells_orders(region: _Region, lit: Pixels) -> bool:
+    """Whether the sets of a compensated part tell its orders; of wrong or very noisy sets they scatter."""
+    if region.measured is None or not len(lit):
+        return True
+    return bool(region.measured[tuple(lit.T)].mean() >= MOTION.min_points_share)

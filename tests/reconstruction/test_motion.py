@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.motion import FOUR_STEPS, MovingScene, measured, period_mm
+from benchmarks.motion import DIRECTIONS, FOUR_STEPS, PLANS, MovingScene, measured, period_mm
 from fpplab.core.progress import no_progress
 from fpplab.diagnosis import Diagnosis, diagnose_scan
 from fpplab.pipeline.triangulating import triangulate_recording
-from fpplab.reconstruction.motion import _Tiles, compensate_motion
+from fpplab.reconstruction.motion import _Follower, _part_motion, _Region, _Tiles, compensate_motion
 from tests.diagnosis.scenes import Bench, plan_of
 
 SEED = 3
@@ -55,6 +55,29 @@ def test_a_part_that_moves_is_compensated_and_told() -> None:
     assert compensated.rms_um**2 - still.rms_um**2 < (without.rms_um / 5.0) ** 2
     assert compensated.rms_um < 1.5 * compensated.stated_um
     assert f"moved by {displaced:.1f}" in compensated.told
+
+
+def test_a_part_whose_orders_scatter_is_not_compensated() -> None:
+    displaced = 0.5 * period_mm(FOUR_STEPS, UPWARDS)
+    scene = MovingScene(FOUR_STEPS, (0.0, 0.0, displaced), SEED)
+    points, _, part = scene.surface(scene.middle)
+    part[:110] = part[130:] = False
+    follower = _Follower(scene.recording(), scene.rig, points[..., 2], 1.0)
+    region = _Region(np.array(scene.moved_mm), 1e-6 * np.eye(3), part, np.zeros_like(part), 1.0)
+    for share, is_compensated in ((0.95, True), (0.5, False)):
+        measured_pixels = np.random.default_rng(SEED).random(part.shape) < share
+        motion, _ = _part_motion(follower, replace(region, measured=measured_pixels))
+        assert motion.is_compensated == is_compensated
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize(("way", "seed"), [("axial", 16), ("lateral", 17)])
+def test_a_part_whose_orders_scatter_is_not_good(way: str, seed: int) -> None:
+    plan, direction = PLANS["nine"], DIRECTIONS[way]
+    moved = (1.0 if seed % 2 else -1.0) * 2.0 * period_mm(plan, direction) * direction
+    scene = MovingScene(plan, (float(moved[0]), float(moved[1]), float(moved[2])), seed)
+    told = measured(scene, compensate_motion(scene.recording(), scene.rig)).told
+    assert told.startswith("verdict: doubtful: motion: ")
 
 
 @pytest.mark.whole
