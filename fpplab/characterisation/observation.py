@@ -216,10 +216,10 @@ def coordinates_at_points(
 ) -> Floats:
     """Fit the projector coordinates of the points found, within a square about each."""
     # maps (height, width, 2) px; modulation (height, width); half_mm half the square's side; returns (K, 2)
-    frames = target.layout.frames(detection)
-    coordinates = np.full((len(frames), 2), np.nan)
-    inverses = np.ascontiguousarray(np.linalg.inv(frames))
-    reaches = half_mm * np.abs(frames).sum(axis=2).max(axis=1)
+    jacobians = target.layout.jacobians(detection)
+    coordinates = np.full((len(jacobians), 2), np.nan)
+    inverses = np.ascontiguousarray(np.linalg.inv(jacobians))
+    reaches = half_mm * np.abs(jacobians).sum(axis=2).max(axis=1)
     _fit_all(
         maps, modulation, np.ascontiguousarray(detection.pixels), inverses, half_mm, reaches, coordinates
     )

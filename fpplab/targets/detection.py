@@ -26,7 +26,7 @@ def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
 
 def refine_points(layout: BoardLayout, coarse: Detection, level: Floats) -> Detection | None:
     # level (height, width)
-    centres = fit_centres(level, coarse.pixels, layout.frames(coarse), layout.point_model())
+    centres = fit_centres(level, coarse.pixels, layout.jacobians(coarse), layout.point_model())
     fitted = np.isfinite(centres).all(axis=1)
     if fitted.sum() < LIMITS.min_points:
         return None

@@ -12,7 +12,7 @@ from fpplab.core.conventions import Floats
 from fpplab.targets.drawing import InkShape
 from fpplab.targets.fields import GridFields, PrintFields
 from fpplab.targets.profiles import PointModel
-from fpplab.targets.views import Detection, homography, local_frames
+from fpplab.targets.views import Detection, homography, homography_jacobians
 
 Cells = NDArray[np.intp]
 """Lattice coordinates (n, 2) in whole steps."""
@@ -101,9 +101,9 @@ class BoardLayout(PrintFields, GridFields, ABC):
     def find(self, grey: NDArray[np.uint8], level: Floats) -> Detection | None:
         """Find the board to about a pixel, in the image stretched to 8 bits and as it was taken."""
 
-    def frames(self, located: Detection) -> Floats:
+    def jacobians(self, located: Detection) -> Floats:
         """Compute the Jacobian (K, 2, 2) in px per mm of the image by the board at each point."""
-        return local_frames(homography(self, located), self.points()[located.ids, :2])
+        return homography_jacobians(homography(self, located), self.points()[located.ids, :2])
 
     def corrected(self, located: Detection) -> Detection:
         """Correct features located with `point_model` to images of the board's points."""

@@ -24,7 +24,7 @@ from fpplab.targets.views import (
     Detection,
     apply_homography,
     homography,
-    local_frames,
+    homography_jacobians,
     stretch_to_8_bits,
     window_around_point,
 )
@@ -67,7 +67,7 @@ def _is_of_points(layout: BoardLayout, patch: GridPatch, level: Floats) -> bool:
         return False
     matrix = np.asarray(homography_found, np.float64)
     off = np.abs(apply_homography(matrix, board) - patch.pixels).max(axis=1)
-    steps = np.abs(np.linalg.det(local_frames(matrix, board))) ** 0.5 * lattice.step_mm.min()
+    steps = np.abs(np.linalg.det(homography_jacobians(matrix, board))) ** 0.5 * lattice.step_mm.min()
     if np.any(off > LIMITS.max_lattice_offset * steps):
         return False
     # The lattice of a verified patch may still be in a skew basis, in which its points look different.
@@ -96,12 +96,12 @@ def _could_a_camera_see(layout: BoardLayout, board: Floats, pixels: Floats) -> b
     matrix, _ = cv2.findHomography(board, pixels, 0)
     if matrix is None:
         return False
-    frames = local_frames(np.asarray(matrix, np.float64), board)
-    largest, smallest = np.linalg.svd(frames, compute_uv=False).T
-    turned = layout.symmetric and frames.mean(axis=0)[:, 0].sum() < 0
+    jacobians = homography_jacobians(np.asarray(matrix, np.float64), board)
+    largest, smallest = np.linalg.svd(jacobians, compute_uv=False).T
+    turned = layout.symmetric and jacobians.mean(axis=0)[:, 0].sum() < 0
     return bool(
         np.all(largest < LIMITS.max_scale_ratio * smallest)
-        and np.all(np.linalg.det(frames) > 0)
+        and np.all(np.linalg.det(jacobians) > 0)
         and not turned
     )
 
@@ -133,10 +133,10 @@ def _compare_marks(
 ) -> Iterator[tuple[float, float, float]]:
     """Compare places (n, 2) in mm with a point's model: correlation, brightness where it is high, and low."""
     model = layout.point_model()
-    pixels, frames = apply_homography(matrix, board), local_frames(matrix, board)
-    for pixel, frame in zip(pixels, frames, strict=True):
-        x, y, values = window_around_point(level, pixel, frame, model.half_mm)
-        expected = model.brightness(model.start(frame), x, y)
+    pixels, jacobians = apply_homography(matrix, board), homography_jacobians(matrix, board)
+    for pixel, jacobian in zip(pixels, jacobians, strict=True):
+        x, y, values = window_around_point(level, pixel, jacobian, model.half_mm)
+        expected = model.brightness(model.initial_parameters(jacobian), x, y)
         if len(values) < LIMITS.min_model_pixels or np.ptp(values) == 0 or np.ptp(np.sign(expected)) == 0:
             yield 0.0, 0.0, 0.0
             continue
@@ -164,7 +164,7 @@ def _in_view(layout: BoardLayout, placement: Detection, level: Floats) -> Detect
 def _are_inside_image(layout: BoardLayout, matrix: Floats, board: Floats, level: Floats) -> NDArray[np.bool_]:
     """Which of the places (n, 2) in mm are in the image with their surroundings."""
     pixels = apply_homography(matrix, board)
-    margin = layout.point_model().half_mm * np.abs(local_frames(matrix, board)).sum(axis=2)
+    margin = layout.point_model().half_mm * np.abs(homography_jacobians(matrix, board)).sum(axis=2)
     before = (board @ matrix[2, :2] + matrix[2, 2]) * matrix[2, 2] > 0
     fits = (pixels >= margin) & (pixels <= np.array(level.shape[1::-1]) - 1 - margin)
     return np.asarray(fits.all(axis=1) & before)

@@ -11,12 +11,12 @@ from fpplab.targets.profiles import PointModel, profile
 from fpplab.targets.views import window_pixels
 
 
-def fit_centres(level: Floats, pixels: Floats, frames: Floats, model: PointModel) -> Floats:
-    # level (height, width); pixels (K, 2); frames (K, 2, 2) px; returns (K, 2) px
+def fit_centres(level: Floats, pixels: Floats, jacobians: Floats, model: PointModel) -> Floats:
+    # level (height, width); pixels (K, 2); jacobians (K, 2, 2) px; returns (K, 2) px
     if not len(pixels):
         return np.empty((0, 2))
-    starts = np.array([model.start(frame) for frame in frames])
-    inverses, centres = np.ascontiguousarray(np.linalg.inv(frames)), np.full((len(pixels), 2), np.nan)
+    starts = np.array([model.initial_parameters(jacobian) for jacobian in jacobians])
+    inverses, centres = np.ascontiguousarray(np.linalg.inv(jacobians)), np.full((len(pixels), 2), np.nan)
     near = np.ascontiguousarray(pixels)
     _fit_all(level, near, inverses, model.half_mm, int(model.surroundings), starts, centres)
     return centres

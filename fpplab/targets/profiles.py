@@ -33,7 +33,7 @@ class PointModel:
     """Brightness model of a point and where to fit it."""
 
     surroundings: Surroundings  # which of the models
-    start: Callable[[Floats], Floats]  # initial parameters θ from the Jacobian (2
+    initial_parameters: Callable[[Floats], Floats]  # θ from the Jacobian (2, 2) in px per mm at the point
     half_mm: float  # half the side in mm of the square around the point that shows nothing else
 
     def brightness(self, theta: Floats, x: Floats, y: Floats) -> Floats:
@@ -44,21 +44,23 @@ class PointModel:
 
 
 def crossing_edges(half_mm: float) -> PointModel:
-    return PointModel(Surroundings.EDGES, _edges_start, half_mm)
+    return PointModel(Surroundings.EDGES, _initial_edge_parameters, half_mm)
 
 
 def disc(radius_mm: float, half_mm: float) -> PointModel:
     # returns (a, b, c) px
-    return PointModel(Surroundings.DISC, lambda frame: _disc_start(frame, radius_mm), half_mm)
+    return PointModel(
+        Surroundings.DISC, lambda jacobian: _initial_disc_parameters(jacobian, radius_mm), half_mm
+    )
 
 
-def _edges_start(frame: Floats) -> Floats:
-    along_x, along_y = np.arctan2(frame[1], frame[0])
+def _initial_edge_parameters(jacobian: Floats) -> Floats:
+    along_x, along_y = np.arctan2(jacobian[1], jacobian[0])
     return np.array([0.0, 0.0, along_x, along_y, 1.0])
 
 
-def _disc_start(frame: Floats, radius_mm: float) -> Floats:
-    inverse = np.linalg.inv(frame) / radius_mm
+def _initial_disc_parameters(jacobian: Floats, radius_mm: float) -> Floats:
+    inverse = np.linalg.inv(jacobian) / radius_mm
     form = inverse.T @ inverse
     return np.array([0.0, 0.0, form[0, 0], form[0, 1], form[1, 1], 1.0])
 

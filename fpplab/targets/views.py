@@ -49,7 +49,7 @@ def apply_homography(matrix: Floats, points: Floats) -> Floats:
     return np.asarray(mapped[..., :2] / mapped[..., 2:])
 
 
-def local_frames(matrix: Floats, points: Floats) -> Floats:
+def homography_jacobians(matrix: Floats, points: Floats) -> Floats:
     # matrix (3, 3); points (K, 2) mm; returns (K, 2, 2) px
     mapped = points @ matrix[:, :2].T + matrix[:, 2]
     pixels = mapped[:, :2] / mapped[:, 2:]
@@ -65,10 +65,10 @@ def stretch_to_8_bits(level: Floats) -> NDArray[np.uint8]:
 
 
 def window_around_point(
-    level: Floats, pixel: Floats, frame: Floats, half_mm: float
+    level: Floats, pixel: Floats, jacobian: Floats, half_mm: float
 ) -> tuple[Floats, Floats, Floats]:
-    # level (height, width); pixel (u, v) px; frame (2, 2) px; returns x (n,) px, y (n,) px, values (n,)
-    rows, columns = window_pixels(level, pixel, np.linalg.inv(frame), half_mm)
+    # level (height, width); pixel (u, v) px; jacobian (2, 2) px; returns x (n,) px, y (n,) px, values (n,)
+    rows, columns = window_pixels(level, pixel, np.linalg.inv(jacobian), half_mm)
     return columns - pixel[0], rows - pixel[1], level[rows, columns]
 
 

@@ -77,7 +77,7 @@ def run(program: str, kind: str, file: str) -> None:
             _fetch_rerun_files(program, home)
             growing = GrowingRecording()
             recording = partial(_parts_of, Path(file)) if file else growing.messages
-            _report({"page": Page(home, recording).address})
+            _report({"page": PageServer(home, recording).address})
             _receive(growing.add)
         else:
             rerun = _open_window(program, file, home)
@@ -267,11 +267,11 @@ def _receive(add: Callable[[bytes], object], flush: Callable[[], object] = lambd
             flush()
 
 
-class Page:
+class PageServer:
     """The page and its recording, served in threads of this process to who knows their address."""
 
-    def __init__(self, home: Path, recording: Callable[[], Iterable[bytes]]) -> None:
-        self.home, self.recording = home, recording
+    def __init__(self, rerun_folder: Path, recording: Callable[[], Iterable[bytes]]) -> None:
+        self.rerun_folder, self.recording = rerun_folder, recording
         self.open_pages = 0
         self.lock = threading.Lock()
 
@@ -287,7 +287,7 @@ class Page:
 
 
 class _PageHandler(BaseHTTPRequestHandler):
-    page: Page
+    page: PageServer
     timeout = 30.0
 
     def do_GET(self) -> None:
@@ -297,7 +297,7 @@ class _PageHandler(BaseHTTPRequestHandler):
         elif name in OWN_FILES:
             self._send(_parts_of(Path(__file__).parent / "web" / OWN_FILES[name]), OWN_FILES[name])
         elif name in RERUN_FILES:
-            self._send(_parts_of(self.page.home / name), name)
+            self._send(_parts_of(self.page.rerun_folder / name), name)
         elif name == RECORDING:
             self._send(self.page.recording(), name)
         elif name == "open":

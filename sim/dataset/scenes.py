@@ -140,11 +140,11 @@ def draw_scene(
     if item in scenes.artefacts:
         sizes = _draw_lengths(item, scenes.variation, random)
         what = {"artefact": item, "sizes": sizes}
-        box = _box_points(np.asarray(artefacts.make(item, sizes).bounds))
+        box = _grid_in_box(np.asarray(artefacts.make(item, sizes).bounds))
     else:
         what = {"target": item}
         half = 0.5 * np.array([*_board_size(item), 0.0])
-        box = _box_points(np.stack([-half, half]))
+        box = _grid_in_box(np.stack([-half, half]))
     return DatasetScene.model_validate(
         {
             **what,
@@ -194,9 +194,9 @@ def _board_size(target: str) -> tuple[float, float]:
     return Target.load(target).size_mm
 
 
-def _box_points(bounds: Floats) -> Floats:
-    """Make points (27, 3) in and on the box between two corners (2, 3)."""
-    low, high = bounds
+def _grid_in_box(corners: Floats) -> Floats:
+    """Make a regular grid of points (27, 3) in and on the box between two corners (2, 3)."""
+    low, high = corners
     share = np.linspace(0, 1, 3)
     grid = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 3)
     return np.asarray(low + grid * (high - low))

@@ -185,7 +185,7 @@ def _characterise_and_place(
     characterisation = characterise_sessions(sessions, target, listener.between(0.0, 0.1))
     plausibility.check_geometry(characterisation.calibration, twin.parameters.calibration, refusals)
     if request.response is not None:
-        plausibility.check_response(request.response, sessions, refusals)
+        plausibility.check_second_harmonic(request.response, sessions, refusals)
     listener.tell("comparing the scans with the artefacts' shapes")
     scans = fit_scans(twin, request.scans, characterisation.calibration, refusals)
     parts = fit_scans(twin, request.surfaces, characterisation.calibration, refusals)

@@ -8,7 +8,7 @@ import pytest
 
 from fpplab.setup.live.orders import Orders
 from fpplab.setup.live.page import SetUpPage
-from fpplab.viewer.host import Page
+from fpplab.viewer.host import PageServer
 
 SECRET = b"RRF2 the measurement"
 MOST_ANSWERED = 2_000
@@ -20,7 +20,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
     """By name, the addresses of both pages."""
     home = tmp_path_factory.mktemp("page")
     with SetUpPage(Orders()) as live:
-        yield {"live": live.address, "viewer": Page(home, lambda: [SECRET]).address}
+        yield {"live": live.address, "viewer": PageServer(home, lambda: [SECRET]).address}
 
 
 WHAT = {"live": "state", "viewer": "recording.rrd"}

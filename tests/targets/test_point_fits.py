@@ -19,7 +19,7 @@ THETAS = {
     1: np.array([-0.4, 0.1, 0.0045, 0.0006, 0.0061, 1.1]),
 }
 MODELS = pytest.mark.parametrize("model", [EDGES, DISC], ids=["edges", "disc"])
-FRAME = np.array([[10.0, 1.0], [-1.5, 9.0]])
+JACOBIAN = np.array([[10.0, 1.0], [-1.5, 9.0]])
 
 
 def plainly(model: PointModel, theta: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -62,14 +62,16 @@ def test_derivatives_are_those_of_the_brightness(model: PointModel, x: float, y:
 def by_scipy(model: PointModel, level: NDArray[np.float64], pixel: np.ndarray) -> np.ndarray:
     """Centre by variable projection with numerical derivatives, over the same square of the board."""
     v, u = np.indices(level.shape).reshape(2, -1)
-    inside = np.abs((np.stack([u, v], axis=1) - pixel) @ np.linalg.inv(FRAME).T).max(axis=1) <= model.half_mm
+    inside = (
+        np.abs((np.stack([u, v], axis=1) - pixel) @ np.linalg.inv(JACOBIAN).T).max(axis=1) <= model.half_mm
+    )
     x, y, seen = u[inside] - pixel[0], v[inside] - pixel[1], level.ravel()[inside]
 
     def misfit(theta: np.ndarray) -> np.ndarray:
         basis = np.stack([np.ones(len(x)), x, y, plainly(model, theta, x, y)], axis=1)
         return np.asarray(seen - basis @ np.linalg.lstsq(basis, seen, rcond=None)[0])
 
-    fit = least_squares(misfit, model.start(FRAME), method="lm", xtol=1e-12, ftol=1e-12)
+    fit = least_squares(misfit, model.initial_parameters(JACOBIAN), method="lm", xtol=1e-12, ftol=1e-12)
     return np.asarray(pixel + fit.x[:2])
 
 
@@ -77,13 +79,13 @@ def by_scipy(model: PointModel, level: NDArray[np.float64], pixel: np.ndarray) -
 @pytest.mark.parametrize("noise", [0.0, 3.0])
 def test_centres_are_those_of_a_fit_by_scipy(model: PointModel, noise: float) -> None:
     random = np.random.default_rng(3)
-    theta = model.start(FRAME)
+    theta = model.initial_parameters(JACOBIAN)
     theta[:2], theta[-1] = (0.37, -0.61), 1.4
     v, u = np.indices((70, 70)).astype(np.float64)
     shape = plainly(model, theta, (u - 35).ravel(), (v - 34).ravel()).reshape(u.shape)
     level = 120 + 0.2 * u - 0.1 * v + 60 * shape + random.normal(0, noise, u.shape)
     pixel = np.array([35.0, 34.0])
-    found = fit_centres(level, pixel[None], FRAME[None], model)[0]
+    found = fit_centres(level, pixel[None], JACOBIAN[None], model)[0]
     assert found == pytest.approx(by_scipy(model, level, pixel), abs=1e-5)
     assert found == pytest.approx(pixel + theta[:2], abs=1e-6 if noise == 0 else 0.06)
 

@@ -12,7 +12,7 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
 from fpplab.targets.kinds.charuco import CharucoLayout
 from fpplab.targets.kinds.circles import CircleGrid
-from fpplab.targets.views import Detection, apply_homography, eccentricity, homography, local_frames
+from fpplab.targets.views import Detection, apply_homography, eccentricity, homography, homography_jacobians
 from tests.support.boards import plane_homography, pose, render
 
 CIRCLES = {"kind": "circles", "size_mm": [60, 42], "counts": [13, 4], "spacing_mm": [4.5, 9],
@@ -316,15 +316,15 @@ def test_ellipses_are_not_taken_for_the_pictures_of_their_circles_centres(view: 
 
 
 @given(st.floats(-35, 35), st.floats(-35, 35), st.floats(-180, 180))
-def test_local_frames_are_the_slopes_of_the_homography(a: float, b: float, c: float) -> None:
+def test_jacobians_are_the_slopes_of_the_homography(a: float, b: float, c: float) -> None:
     target = board(CIRCLES)
     matrix = plane_homography(CAMERA, pose((a, b, c), (3, -4, 200)))
     points = target.points()[:, :2]
-    frames = local_frames(matrix, points)
+    jacobians = homography_jacobians(matrix, points)
     for axis in range(2):
         step = 1e-4 * np.eye(2)[axis]
         slope = (apply_homography(matrix, points + step) - apply_homography(matrix, points - step)) / 2e-4
-        np.testing.assert_allclose(frames[:, :, axis], slope, atol=1e-6)
+        np.testing.assert_allclose(jacobians[:, :, axis], slope, atol=1e-6)
 
 
 def test_homography_is_recovered_from_part_of_the_points() -> None:

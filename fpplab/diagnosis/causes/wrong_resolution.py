@@ -106,7 +106,8 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
         return None
     total = np.asarray(np.bincount(bins, rough), np.float64)
     places = np.arange(len(total)) / 4.0
-    total = total - count * _explained_by_fringes(
+    # Harmonics of the fringes leak into other frequencies where the span is short.
+    total = total - count * _fitted_sinusoids(
         places, total, count, _fringe_harmonics(sets, fine, span, limits)
     )
     sums = np.fft.rfft(total, length)[used]
@@ -132,16 +133,16 @@ def _fringe_harmonics(
     return [frequency for frequency in cycles if frequency < limits.max_cycles]
 
 
-def _explained_by_fringes(
-    places: Floats, total: Floats, count: NDArray[np.intp], cycles: list[float]
+def _fitted_sinusoids(
+    positions_px: Floats, sums: Floats, counts: NDArray[np.intp], cycles_per_px: list[float]
 ) -> Floats:
-    """What harmonics of the fringes explain: of a short span they leak into other frequencies."""
-    if not cycles:
-        return np.zeros(len(places))
-    angles = TWO_PI * np.outer(places, cycles)
-    waves = np.concatenate([np.cos(angles), np.sin(angles), np.ones((len(places), 1))], axis=1)
-    weights = np.sqrt(count)
-    means = total / np.maximum(count, 1)
+    """Fit sinusoids and a constant to the bins' means, weighted by counts; return the fit's values (N,)."""
+    if not cycles_per_px:
+        return np.zeros(len(positions_px))
+    angles = TWO_PI * np.outer(positions_px, cycles_per_px)
+    waves = np.concatenate([np.cos(angles), np.sin(angles), np.ones((len(positions_px), 1))], axis=1)
+    weights = np.sqrt(counts)
+    means = sums / np.maximum(counts, 1)
     best = np.linalg.lstsq(weights[:, None] * waves, weights * means, rcond=1e-6)[0]
     return np.asarray(waves @ best)
 

@@ -129,7 +129,7 @@ def _other_stripes(sets: Sets, observed: list[Direction], sample: PhaseSample) -
         about = observed[k].speed / float(np.median([observed[j].speed / sets[j].stripes for j in others]))
         if abs(about / fringe.stripes - 1.0) <= sample.limits.max_equal_stripes:
             continue
-        for stripes in _stripes_near(sets, others, k, about, sample):
+        for stripes in _candidate_stripes(sets, others, k, about, sample):
             yield _with_stripes(sets, {k: stripes})
     for reference in range(len(sets)):
         contradicted = _stripes_by_one_set(sets, reference, observed, sample)
@@ -176,14 +176,14 @@ def _with_stripes(sets: Sets, stripes: Mapping[int, float]) -> Edit:
     )
 
 
-def _stripes_near(
-    sets: Sets, others: Sequence[int], k: int, stated_stripes: float, sample: PhaseSample
+def _candidate_stripes(
+    sets: Sets, others: Sequence[int], k: int, approximate_stripes: float, sample: PhaseSample
 ) -> Sequence[float]:
-    """Stripes that a set may have, other than those it is said to have."""
-    if min(sets[j].stripes for j in others) <= 1.0 < stated_stripes:
-        near = [refined_stripes(sets, others, k, stated_stripes, sample)]
+    """Numbers of stripes near an approximate one that set k may have, other than the one stated in it."""
+    if min(sets[j].stripes for j in others) <= 1.0 < approximate_stripes:
+        near = [refined_stripes(sets, others, k, approximate_stripes, sample)]
     else:
-        near = [float(round(stated_stripes) + by) for by in (0, -1, 1, -2, 2)]
+        near = [float(round(approximate_stripes) + by) for by in (0, -1, 1, -2, 2)]
     return [stripes for stripes in near if stripes > 0 and stripes != sets[k].stripes]
 
 

@@ -14,7 +14,7 @@ from fpplab.targets.layout import BoardLayout
 from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.markers import DictionaryName, draw_marker, load_dictionary, markers_in
 from fpplab.targets.profiles import PointModel, disc
-from fpplab.targets.views import Detection, apply_homography, eccentricity, homography, local_frames
+from fpplab.targets.views import Detection, apply_homography, eccentricity, homography, homography_jacobians
 
 CIRCLES = 4
 
@@ -92,11 +92,11 @@ class ReferenceMarks(BoardLayout):
                 pixels.append(apply_homography(matrix, circles))
         return Detection(np.concatenate(ids), np.concatenate(pixels)) if ids else None
 
-    def frames(self, located: Detection) -> Floats:
-        frames = np.full((len(located.ids), 2, 2), np.nan)
+    def jacobians(self, located: Detection) -> Floats:
+        jacobians = np.full((len(located.ids), 2, 2), np.nan)
         for rows, matrix in self._seen_marks(located):
-            frames[rows] = local_frames(matrix, self.points()[located.ids[rows], :2])
-        return frames
+            jacobians[rows] = homography_jacobians(matrix, self.points()[located.ids[rows], :2])
+        return jacobians
 
     def corrected(self, located: Detection) -> Detection:
         ids, centres = [], []

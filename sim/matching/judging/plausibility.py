@@ -106,7 +106,7 @@ def check_geometry(measured: Calibration, nominal: Calibration, refusals: Refusa
         )
 
 
-def check_response(response: Response, sessions: Sequence[Session], refusals: Refusals) -> None:
+def check_second_harmonic(response: Response, sessions: Sequence[Session], refusals: Refusals) -> None:
     # The fringes on the board are bent by the response: the second harmonic of the widest set of at least
     # four images shows it without any twin.
     plan = sessions[0].plan.fringe_part

@@ -469,9 +469,9 @@ def test_the_response_of_another_rig_is_refused_before_the_work(truth: TwinParam
     def response(g: float) -> Response:
         return fit_response(np.linspace(0, 1, 9), 0.7 * np.linspace(0, 1, 9) ** g + 0.05)
 
-    plausibility.check_response(response(1.8), sessions, Refusals())
+    plausibility.check_second_harmonic(response(1.8), sessions, Refusals())
     with pytest.raises(CalibrationError, match=r"second harmonic .* is 2.*, but 7.7 % by the response"):
-        plausibility.check_response(response(1.25), sessions, Refusals())
+        plausibility.check_second_harmonic(response(1.25), sessions, Refusals())
 
 
 def test_the_card_is_put_where_its_scan_shows_it() -> None:
