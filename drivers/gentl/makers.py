@@ -1,8 +1,8 @@
 """What cameras of other makers add to the names of `drivers.genicam.names`, one entry for each maker.
 
-A camera may lack any of the features. Sources are the makers' public documents: FLIR Spinnaker and Blackfly S
-reference, IDS peak and uEye+ manual, Allied Vision Alvium features reference, Hikrobot MVS parameter
-reference, Daheng Galaxy SDK (GxIAPI), JAI GO and AP user manuals.
+A camera may lack any of the features. Names of JAI, Allied Vision, Hikrobot and, in part, Daheng are those of
+public node lists and headers; those of FLIR and IDS are the names in common use, unchecked.
+None of the tables has been compared with a camera.
 """
 
 import re
