@@ -400,4 +400,5 @@ def local_quadric_distance(cloud: Cloud, window: int = 15, max_points: int | Non
     # returns (N,) mm
     if window < 5 or window % 2 == 0:
         raise ConfigError(f"window: {window} px must be an odd number, at least 5")
-    return cloud.grid().quadric_distances(window, -(-len(cloud) // (max_points or max(len(cloud), 1))) or 1)
+    step = 1 if max_points is None else max(1, -(-len(cloud) // max_points))
+    return cloud.grid().quadric_distances(window, step)
