@@ -263,6 +263,12 @@ def resolve_relative_to(name: str, folder: Path) -> str:
     return str(path.resolve()) if name and path.exists() else name
 
 
+def portable_name(name: str) -> str:
+    # What comes with fpplab is written by its name alone, which another installation knows too.
+    path = Path(name)
+    return path.name if path.parent in (_PACKAGE, _CHECKOUT) else name
+
+
 ConfigKind = Literal["calibration", "dataset", "plan", "rig", "standard", "study", "target", "world"]
 """What a configuration describes: the first word in the names of those that come with fpplab."""
 

@@ -216,8 +216,11 @@ class World(WorldEffects, WorldContents):
 
     def save(self, folder: Path, name: str = "world.yaml") -> Path:
         """Write the world file, with a calibration next to it as `calibration.yaml`."""
-        # Names of mesh and target files stay as they are.
+        # Names of files stay as they are, except of targets that come with fpplab.
         data = config.plain(self)
+        for item in data["items"].values():
+            if "target" in item:
+                item["target"] = config.portable_name(item["target"])
         if self.calibration is not None:
             write_text(folder / "calibration.yaml", config.dump(self.calibration))
             data["calibration"] = "calibration.yaml"

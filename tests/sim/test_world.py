@@ -286,3 +286,13 @@ def test_draws_stay_within_what_a_field_allows() -> None:
 def test_an_uncertainty_of_what_is_no_number_is_refused(path: str) -> None:
     with pytest.raises(ConfigError, match=f"names '{path}': must be the path of a number"):
         world(uncertainty={path: 1.0})
+
+
+def test_a_saved_world_names_what_comes_with_fpplab_by_its_name_alone(tmp_path: Path) -> None:
+    """So that it opens with another installation too."""
+    World.load("world_paper").save(tmp_path)
+    saved = config.parse_yaml((tmp_path / "world.yaml").read_text(), tmp_path)
+    assert saved["items"]["board"]["target"] == "target_paper.yaml"
+    assert World.load(tmp_path / "world.yaml").items["board"] == World.load("world_paper").items[
+        "board"
+    ].model_copy(update={"target": "target_paper.yaml"})
