@@ -9,8 +9,8 @@ ROOT = Path(__file__).parents[2]
 TABLE, PAGE = ROOT / "docs" / "faults.yaml", ROOT / "docs" / "faults.md"
 HEAD = """# Faults
 
-What may go wrong, what the operator sees of it, what is lost, and the test that proves it. Written from
-`faults.yaml` by `python -m tests.docs.faults`; a test compares both, and looks for every test that is named.
+What may go wrong, what the operator sees, what is lost, and the test that proves it.
+`python -m tests.docs.faults` writes this page from `faults.yaml`.
 """
 COLUMNS = ("fault", "seen", "lost", "proved_by")
 TITLES = ("Fault", "What the operator sees", "What is lost", "Proved by")
