@@ -22,6 +22,16 @@ class SeenChange:
 
 
 @dataclass(frozen=True)
+class MarksVerdict:
+    """Whether reference marks verify a scan's geometry."""
+
+    verified: bool
+    change: SeenChange | None = None  # of the rig, where they show one
+    doubt: GeometryDoubt | None = None  # where they settle nothing
+    is_unexplained: bool = False  # whether they look different in a way that no change of the rig explains
+
+
+@dataclass(frozen=True)
 class GeometryCheck:
     """What is known of the rig's geometry at a scan, beyond what the points show."""
 

@@ -1,9 +1,6 @@
 """Whether the rig is known to have been as it was characterised when a scan was taken."""
 
-from __future__ import annotations
-
 from datetime import timedelta
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,16 +8,13 @@ from fpplab.calibration.model import Calibration, CalibrationOrigin
 from fpplab.clouds import Cloud
 from fpplab.devices.rig import GeometrySection
 from fpplab.diagnosis.causes.stale_calibration import max_epipolar_px
-from fpplab.diagnosis.geometry import GeometryCheck, GeometryDoubt
+from fpplab.diagnosis.geometry import GeometryCheck, GeometryDoubt, MarksVerdict
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.phase import Decoded
 from fpplab.reconstruction.hidden_changes import hidden_changes, sampled
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.sessions.origin import check_region, foreign_calibration, taken_at
 from fpplab.sessions.session import Session
-
-if TYPE_CHECKING:
-    from fpplab.pipeline.marks import SeenMarks
 
 CONFIRM = "take a pose of the board, and 'fpplab characterise --judge CALIBRATION POSE --confirm'"
 SHOWN_CHANGES = 5  # kinds of changes that are listed, those that cost most (chosen)
@@ -31,24 +25,16 @@ def geometry_check(
     decoded: Decoded,
     cloud: Cloud,
     calibration: Calibration,
-    seen_marks: SeenMarks,
+    marks: MarksVerdict | None,
     limits: DiagnosisLimits = USUAL_LIMITS,
 ) -> GeometryCheck:
-    doubt, marks, noise = why_unverified(session, calibration), None, coordinate_noise(decoded)
-    if seen_marks is not None:
-        from fpplab.pipeline.marks import MarksVerdict, marks_verdict
-
-        marks = (
-            MarksVerdict(False, doubt=seen_marks)
-            if isinstance(seen_marks, GeometryDoubt)
-            else marks_verdict(seen_marks, cloud, noise, calibration)
-        )
-        if calibration.doubt is None and (doubt is not None or marks.is_unexplained):
-            doubt = marks.doubt  # which a statement of the rig's owner settles, unless they look different
+    doubt = why_unverified(session, calibration)
+    if marks is not None and calibration.doubt is None and (doubt is not None or marks.is_unexplained):
+        doubt = marks.doubt  # which a statement of the rig's owner settles, unless they look different
     hidden: tuple[tuple[str, float], ...] = ()
     if doubt is not None and not (marks and (marks.verified or marks.change)):
         noticed_px = max_epipolar_px(limits, decoded)
-        changes = hidden_changes(cloud, calibration, noise, noticed_px)
+        changes = hidden_changes(cloud, calibration, coordinate_noise(decoded), noticed_px)
         sigma_mm = cloud.sigma_calibration_mm
         certain_um = 0.0 if sigma_mm is None else 1e3 * float(np.median(sampled(sigma_mm)))
         costs = [(change.meaning, change.displacement_um) for change in changes[:SHOWN_CHANGES]]

@@ -26,7 +26,7 @@ from fpplab.clouds import Cloud
 from fpplab.core import config
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import CalibrationError
-from fpplab.diagnosis.geometry import GeometryDoubt, SeenChange, in_words
+from fpplab.diagnosis.geometry import GeometryDoubt, MarksVerdict, SeenChange, in_words
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.pipeline.geometry import CONFIRM
@@ -41,23 +41,13 @@ DEPTH_MARGIN = 0.05  # how far marks may have moved, as a share of their depth (
 CORRECT = "correct the calibration by the marks: 'fpplab characterise --correct CALIBRATION SCAN --out NEW'"
 
 
-@dataclass(frozen=True)
-class MarksVerdict:
-    """Whether reference marks verify a scan's geometry."""
-
-    verified: bool
-    change: SeenChange | None = None  # of the rig, where they show one
-    doubt: GeometryDoubt | None = None  # where they settle nothing
-    is_unexplained: bool = False  # whether they look different in a way that no change of the rig explains
+SeenMarks = MarksComparison | GeometryDoubt
+"""What a scan shows of the marks: a doubt where too few are in view."""
 
 
-SeenMarks = MarksComparison | GeometryDoubt | None
-"""What a scan shows of the marks: a doubt where too few are in view, None where the calibration has none."""
-
-
-def compare_marks_in(recording: Recording, decoded: Decoded, calibration: Calibration) -> SeenMarks:
-    if (marks := calibration.marks) is None:
-        return None
+def compare_marks_in(
+    recording: Recording, decoded: Decoded, calibration: Calibration, marks: LocatedMarks
+) -> SeenMarks:
     try:
         return compare_marks(calibration, marks, marks_in(recording, decoded, calibration, marks))
     except CalibrationError as error:
@@ -73,9 +63,11 @@ def widened_by_marks(calibration: Calibration, seen: SeenMarks) -> Calibration:
 
 
 def marks_verdict(
-    compared: MarksComparison, cloud: Cloud, noise: CoordinateNoise, calibration: Calibration
+    compared: SeenMarks, cloud: Cloud, noise: CoordinateNoise, calibration: Calibration
 ) -> MarksVerdict:
     """Judge the geometry by what a change that the marks allow would displace the points by."""
+    if isinstance(compared, GeometryDoubt):
+        return MarksVerdict(False, doubt=compared)
     costs = _costs(cloud, calibration, noise, compared)
     if compared.explained and all(cost.total_um <= cost.stated_um for cost in costs):
         return MarksVerdict(True)

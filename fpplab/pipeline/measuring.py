@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from fpplab.core.depth import DepthInterval, DepthRange
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED
 from fpplab.diagnosis import Diagnosis, UselessScanError, diagnose_scan
+from fpplab.diagnosis.geometry import MarksVerdict
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.record import save_diagnosis
 from fpplab.patterns.recording import Recording
@@ -30,9 +30,6 @@ from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
 from fpplab.sessions.session import Session
-
-if TYPE_CHECKING:
-    from fpplab.pipeline.marks import SeenMarks
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +140,7 @@ def _judge(
     decoded: Decoded,
     cloud: Cloud,
     calibration: Calibration,
-    marks: SeenMarks,
+    marks: MarksVerdict | None,
     limits: DiagnosisLimits,
 ) -> Diagnosis:
     geometry = geometry_check(session, decoded, cloud, calibration, marks, limits)
@@ -163,13 +160,13 @@ def widened_by_drift(calibration: Calibration, drifts: Mapping[Axis, PointingDri
 
 def _with_sigmas(
     recording: Recording, decoded: Decoded, cloud: Cloud, calibration: Calibration, progress: Progress
-) -> tuple[Cloud, SeenMarks]:
-    marks: SeenMarks = None
-    at_scan = calibration
+) -> tuple[Cloud, MarksVerdict | None]:
+    at_scan, noise, marks = calibration, coordinate_noise(decoded), None
     if calibration.marks is not None:
-        from fpplab.pipeline.marks import compare_marks_in, widened_by_marks
+        from fpplab.pipeline.marks import compare_marks_in, marks_verdict, widened_by_marks
 
-        marks = compare_marks_in(recording, decoded, calibration)
-        at_scan = widened_by_marks(calibration, marks)
-    at_scan, noise = widened_by_drift(at_scan, decoded.drifts), coordinate_noise(decoded)
+        compared = compare_marks_in(recording, decoded, calibration, calibration.marks)
+        at_scan = widened_by_marks(calibration, compared)
+        marks = marks_verdict(compared, cloud, noise, calibration)
+    at_scan = widened_by_drift(at_scan, decoded.drifts)
     return with_uncertainty(cloud, at_scan, noise, lambda share: progress(0.72 + 0.28 * share)), marks

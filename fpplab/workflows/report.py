@@ -15,7 +15,8 @@ from fpplab.diagnosis import Diagnosis, diagnose_scan
 from fpplab.diagnosis.record import load_diagnosis
 from fpplab.phase import Decoded
 from fpplab.pipeline.geometry import geometry_check
-from fpplab.pipeline.marks import compare_marks_in
+from fpplab.pipeline.marks import compare_marks_in, marks_verdict
+from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.report.several_scans import write_scans_report
 from fpplab.results.observer import Observer
 from fpplab.results.provenance import cloud_provenance, local_time, session_provenance
@@ -88,7 +89,10 @@ def _diagnosis(
     if cloud is None or calibration is None or not (session.path / DECODED).is_file():
         return None, None
     recording, decoded = session.recording(verify=False), Decoded.load(session.path / DECODED)
-    marks = compare_marks_in(recording, decoded, calibration)
+    marks = None
+    if calibration.marks is not None:
+        compared = compare_marks_in(recording, decoded, calibration, calibration.marks)
+        marks = marks_verdict(compared, cloud, coordinate_noise(decoded), calibration)
     geometry = geometry_check(session, decoded, cloud, calibration, marks)
     diagnosis = diagnose_scan(recording, decoded, cloud, calibration, geometry=geometry)
     return diagnosis, "for this report"

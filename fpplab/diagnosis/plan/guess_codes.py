@@ -15,7 +15,7 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.tagged_union import registered_types
 from fpplab.diagnosis.plan.code_order import code_order_fault
 from fpplab.diagnosis.plan.limits import GuessLimits
-from fpplab.diagnosis.plan.other_patterns import BINARY, image_kinds
+from fpplab.diagnosis.plan.other_patterns import BINARY, image_kinds, lit_by_projector
 from fpplab.patterns.fringe_sets import PatternSet
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
@@ -41,7 +41,7 @@ def guess_codes(
         return None
     kinds = [kind or BINARY for kind in kinds]  # blur leaves the finest bits no two levels
     try:
-        plan = Plan(fringes=tuple(_sets(frames, kinds, projector_size)))
+        plan = Plan(fringes=tuple(_sets(frames, kinds, projector_size, limits)))
         plan.check_projector(projector_size, "the plan guessed")
         check_codes(plan, projector_size, "the plan guessed")
     except (ConfigError, ValueError):
@@ -51,7 +51,7 @@ def guess_codes(
     recording = Recording(sampled, plan, projector_size, bits, "the images")
     if fault := code_order_fault(recording):
         raise DataError(f"the images look like Gray code, but {fault}")
-    decoded, (_, _, lit) = decode(recording), _range(sampled)
+    decoded, (_, lit) = decode(recording), _middle_and_lit(sampled, limits)
     if decoded.disagreement is None or decoded.valid[lit].mean() < limits.min_decoded_share:
         return None
     widths = ((each.coded_axis, each.model_dump().get("cell_px")) for each in plan.sets)
@@ -64,11 +64,11 @@ def guess_codes(
 
 
 def _sets(
-    frames: Sequence[Image], kinds: Sequence[str | None], size: tuple[int, int]
+    frames: Sequence[Image], kinds: Sequence[str | None], size: tuple[int, int], limits: GuessLimits
 ) -> Iterator[PatternSet]:
     """Sets of the images in their order; `size` (width, height) px of the projector."""
-    black, span, lit = _range(frames)
-    bits = {k: frame > black + 0.5 * span for k, frame in enumerate(frames)}
+    middle, lit = _middle_and_lit(frames, limits)
+    bits = {k: frame > middle for k, frame in enumerate(frames)}
     registered: dict[str, Any] = registered_types(PatternSet)
     axes = _axes(kinds, {k: _axis_of(bits[k], lit) for k, kind in enumerate(kinds) if kind == BINARY})
     for axis, run in groupby(range(len(frames)), key=axes.get):
@@ -81,11 +81,10 @@ def _sets(
                 break
 
 
-def _range(frames: Sequence[Image]) -> tuple[Floats, Floats, Mask]:
-    """Least level of every pixel, its range, and whether it sees the projector."""
-    black = np.minimum.reduce(list(frames)).astype(np.float64)
-    span = np.maximum.reduce(list(frames)) - black
-    return black, span, np.asarray(span > 0.3 * np.quantile(span, 0.95))
+def _middle_and_lit(frames: Sequence[Image], limits: GuessLimits) -> tuple[Floats, Mask]:
+    """Level of every pixel above which a bit is likelier set than not, and which pixels are lit."""
+    black, white = (ends.reduce(list(frames)).astype(np.float64) for ends in (np.minimum, np.maximum))
+    return 0.5 * (black + white), lit_by_projector(white - black, limits)
 
 
 def _axes(kinds: Sequence[str | None], axes: dict[int, Axis]) -> dict[int, Axis]:

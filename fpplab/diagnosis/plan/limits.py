@@ -85,6 +85,9 @@ class GuessLimits:
     Derived: of a sinusoid that has both a quarter lies between."""
     min_uniform_share: float = 0.97
     """Share of the pixels that are bright in a white image, or dark in a black one. Chosen."""
+    min_lit_share: float = 0.3
+    """Range of a pixel that sees the projector, as a share of that of bright ones. Chosen: what the scene
+    scatters onto places that the projector does not reach stays below a tenth."""
     min_range: float = 0.05
     """Range of a pixel, as a share of full scale, from which it carries information. Chosen."""
     max_rank_misfit: float = 0.1

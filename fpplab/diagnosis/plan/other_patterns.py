@@ -8,7 +8,7 @@ from itertools import groupby
 
 import numpy as np
 
-from fpplab.core.conventions import Floats, Image, phase_steps
+from fpplab.core.conventions import Floats, Image, Mask, phase_steps
 from fpplab.diagnosis.plan.limits import GUESS_LIMITS, GuessLimits
 
 
@@ -57,13 +57,18 @@ def sampled_levels(frames: Sequence[Image], pixels: int) -> Floats:
     return np.asarray(np.stack([frame[::step, ::step].ravel() for frame in frames]), np.float64)
 
 
+def lit_by_projector(span: Floats, limits: GuessLimits) -> Mask:
+    """Which pixels see the projector, by the range of their levels."""
+    return np.asarray(span > limits.min_lit_share * np.quantile(span, 0.95))
+
+
 def lit_levels(frames: Sequence[Image], full: int, limits: GuessLimits) -> Floats | None:
     """Give the levels (K, P) of pixels that change; None where too few do."""
     # frames (height, width)
     levels = sampled_levels(frames, limits.pixels)
     low, high = levels.min(axis=0), levels.max(axis=0)
     span = high - low
-    lit = (span > limits.min_range * full) & (span > 0.3 * np.quantile(span, 0.95)) & (high < full)
+    lit = (span > limits.min_range * full) & lit_by_projector(span, limits) & (high < full)
     if lit.sum() < limits.pixels // 50:
         return None
     return np.asarray(levels[:, lit])
