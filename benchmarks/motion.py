@@ -37,6 +37,7 @@ PLANS = {
 }
 MIN_LATERAL = 1.0  # of a part that goes across: less changes nothing but its edges
 FIRST_SEED, STILL = 92_000, 24
+MIN_SHARE = 0.7  # of what is measured of a part at rest, of which errors are judged
 UNKNOWN_UM = 1e3  # error of a part that becomes no points
 TABLE_MM, PART_MM, HALF_MM = 468.0, 452.0, np.array([16.0, 12.0])  # distances of both, half the part's size
 
@@ -201,5 +202,6 @@ def _case(label: str, scene: MovingScene) -> tuple[list[Result], bool]:
     results = [
         below(f"{label}_error", excess, "um", uncompensated / 5.0),
         below(f"{label}_error_over_stated", compensated.rms_um / compensated.stated_um, "ratio", 1.5),
+        above(f"{label}_measured", compensated.share, "of the part", MIN_SHARE * still.share),
     ]
     return results, is_told
