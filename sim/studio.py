@@ -1,6 +1,6 @@
 """Scenes for data sets: any item before the simulated devices, and the ground truth of the scene."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Any, Protocol
 
 import trimesh
@@ -56,14 +56,6 @@ class DatasetScene(Document):
     """Position of the stage in mm."""
 
 
-@dataclass(frozen=True, eq=False)
-class SceneTruth:
-    """Ground truth of an arranged scene."""
-
-    mesh: trimesh.Trimesh  # true surface in mm in the camera's frame; flat items are meshes of two sides
-    calibration: Calibration  # the true devices, with the stage where it is
-
-
 class WorldHolder(Protocol):
     """What a studio needs of the virtual bench whose scenes it arranges."""
 
@@ -103,12 +95,13 @@ class SimStudio:
     def world(self) -> dict[str, Any]:
         return config.plain(self._bench.world)
 
-    def truth(self) -> SceneTruth:
+    def truth(self) -> tuple[trimesh.Trimesh, Calibration]:
+        """Give the true surface in the camera's frame (flat items have two sides), and the true devices."""
         world = self._bench.world
         vertices, faces = item_shape(world, ITEM)
         (pose,) = item_poses(world, ITEM)
         mesh = trimesh.Trimesh(pose.apply(vertices), faces, process=False)
-        return SceneTruth(mesh, self.calibration(self._bench.setup.stage_mm))
+        return mesh, self.calibration(self._bench.setup.stage_mm)
 
 
 _REPLACED = ("seed", "items", "mounted", "material", "materials", "ambient")

@@ -14,12 +14,11 @@ import numpy as np
 import trimesh
 import yaml
 
-from fpplab import Cloud, Plan, Rig, Session, decode, load_cloud, scan
+from fpplab import Calibration, Cloud, Plan, Rig, Session, decode, load_cloud, scan
 from fpplab.calibration.model import CalibrationOrigin
 from fpplab.diagnosis import Diagnosis, UselessScanError
 from fpplab.diagnosis.record import load_diagnosis
-from sim.dataset.labels import trace_labels
-from sim.studio import SceneTruth
+from fpplab.pipeline.true_maps import trace_true_maps
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -93,9 +92,8 @@ def measured(
     if shape is not None:
         shape.export(folder / "shape.stl")
         changed["items"][item] = {"mesh": "shape.stl", "pose": STILL}
-    truth = truth_of(folder, changed, item)
+    surface, calibration = truth_of(folder, changed, item)
     save(folder, merged(changed, moved or {}))
-    calibration = truth.calibration
     if verified:
         calibration = replace(calibration, origin=CalibrationOrigin.now(poses_taken=datetime.now(UTC)))
     with Rig.load(folder / "rig.yaml") as rig, suppress(UselessScanError):
@@ -106,7 +104,8 @@ def measured(
     if (folder / "scan" / "cloud.ply").is_file():
         cloud = load_cloud(folder / "scan" / "cloud.ply")
         column, row = cloud.pixels.T
-        error_um[row, column] = 1e3 * (cloud.points[:, 2] - trace_labels(truth).depth[row, column])
+        depth = trace_true_maps(surface, calibration).depth
+        error_um[row, column] = 1e3 * (cloud.points[:, 2] - depth[row, column])
     frames = [np.asarray(frame) for frame in recording.frames]
     diagnosis = load_diagnosis(folder / "scan").diagnosis()
     return Measured(frames, coordinate, cloud, error_um, diagnosis, *part_in(frames))
@@ -118,12 +117,12 @@ def save(folder: Path, world: Mapping[str, Any]) -> None:
     (folder / "world.yaml").write_text(text, encoding="utf-8")
 
 
-def truth_of(folder: Path, world: Mapping[str, Any], item: str) -> SceneTruth:
+def truth_of(folder: Path, world: Mapping[str, Any], item: str) -> tuple[trimesh.Trimesh, Calibration]:
     """The true surface of an item, and the exact calibration of the bench."""
     save(folder, world)
     with Rig.load(folder / "rig.yaml") as rig:
         sampler = rig.simulation.image_part_sampler()  # type: ignore[union-attr]
-        return SceneTruth(sampler.mesh(item), sampler.calibration)
+        return sampler.mesh(item), sampler.calibration
 
 
 def part_in(frames: Any) -> tuple[tuple[int, int], tuple[int, int]]:

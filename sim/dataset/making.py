@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fpplab.acquisition.acquire import expose
+from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.conventions import Image, axis_length, phase_of_coordinate
 from fpplab.core.disk_space import disk_bytes, need_space
@@ -22,9 +23,9 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import check_codes, check_unwrapping, decode, wrapped_phase
 from fpplab.phase.exposures import merged_recording
+from fpplab.pipeline.true_maps import TrueMaps, trace_true_maps
 from sim.bench import VirtualBench
 from sim.dataset.card import dataset_fields, make_card, prepare_folder, split_of
-from sim.dataset.labels import Labels, trace_labels
 from sim.dataset.scenes import SceneRanges, draw_scene, draw_stage
 from sim.dataset.shard import (
     FRAMES,
@@ -36,7 +37,7 @@ from sim.dataset.shard import (
     draft_name,
     shard_name,
 )
-from sim.studio import DatasetScene, SceneTruth
+from sim.studio import DatasetScene
 
 SampleObserver = Callable[[Arrays, dict[str, Any]], object]
 """Called with the arrays and the record of each sample once it is written."""
@@ -47,13 +48,12 @@ def sample_arrays(
     plan: Plan,
     exposure_s: float,
     bits: int,
-    truth: SceneTruth,
-    labels: Labels,
+    devices: Calibration,
+    labels: TrueMaps,
     bayer: Bayer | None = None,
 ) -> Arrays:
     """Compute every field of a sample, as `FIELDS` describes them."""
     # frames (height, width)
-    devices = truth.calibration
     size, lattice = devices.projector.size, devices.projector.lattice
     raw = Recording(frames, plan, size, bits, lattice=lattice, bayer=bayer)
     recording = merged_recording(raw, plan.exposures)
@@ -178,10 +178,10 @@ class DatasetMaker:
         scene = self._draw_scene(index)
         studio.arrange(scene)
         frames = self._frames(scene)
-        truth = studio.truth()
-        labels = trace_labels(truth)
+        mesh, devices = studio.truth()
+        labels = trace_true_maps(mesh, devices)
         bayer = self._rig.camera.caps.bayer
-        arrays = sample_arrays(frames, request.plan, scene.exposure_s, self._bits, truth, labels, bayer)
+        arrays = sample_arrays(frames, request.plan, scene.exposure_s, self._bits, devices, labels, bayer)
         record = {
             "index": index,
             "split": split_of(index),

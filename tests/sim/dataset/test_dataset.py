@@ -26,15 +26,14 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
+from fpplab.pipeline.true_maps import trace_true_maps
 from fpplab.reconstruction.points import triangulate
 from fpplab.targets import Target
 from sim.dataset import Dataset
 from sim.dataset.card import prepare_folder
-from sim.dataset.labels import trace_labels
 from sim.dataset.making import DatasetMaker, DatasetRequest, need_simulation
 from sim.dataset.scenes import SceneRanges, draw_scene
 from sim.dataset.shard import claim_shard, shard_name
-from sim.studio import SceneTruth
 from tests.sessions.test_disk import FullAt
 from tests.sim.conftest import RIG, plain, world, write_world
 from tests.sim.raycaster import Box, Caster
@@ -184,7 +183,7 @@ def test_labels_are_those_of_an_independent_ray_caster() -> None:
     meshes = [trimesh.creation.box(bounds=np.array(bounds, float)) for bounds in corners]
     mesh = trimesh.util.concatenate(meshes).apply_transform(pose.matrix)
     devices = Calibration(of.camera_model(), of.projector_model(), of.T_projector_camera(), {})
-    labels = trace_labels(SceneTruth(mesh, devices))
+    labels = trace_true_maps(mesh, devices)
     caster = Caster(devices.camera, devices.projector, devices.T_projector_camera, 475.0, 1.0)
     seen = caster.look(boxes, 1)
     wide, high = devices.projector.size
@@ -212,12 +211,12 @@ def test_plate_lit_from_behind_is_visible_but_masked() -> None:
     )
     camera = Pinhole.from_focal((64, 48), (400.0, 400.0), (31.5, 23.5))
     behind = RigidTransform.from_vectors(np.array([0.0, np.pi, 0.0]), np.array([0.0, 0.0, 900.0]))
-    labels = trace_labels(SceneTruth(plate, Calibration(camera, camera, behind, {})))
+    labels = trace_true_maps(plate, Calibration(camera, camera, behind, {}))
     assert np.isfinite(labels.depth).sum() > 1000
     assert not labels.mask.any()
     assert (labels.normals[2][np.isfinite(labels.depth)] == -1).all()
     beside = RigidTransform.from_vectors(np.zeros(3), np.array([-1.0, 0.0, 0.0]))
-    assert trace_labels(SceneTruth(plate, Calibration(camera, camera, beside, {}))).mask.sum() > 1000
+    assert trace_true_maps(plate, Calibration(camera, camera, beside, {})).mask.sum() > 1000
 
 
 @pytest.mark.whole
