@@ -58,6 +58,12 @@ def full_sockets() -> str | None:
     )
 
 
+def cause_in_settings(usb: bool, ethernet: bool) -> tuple[str, str] | None:
+    """Describe what of this computer loses frames of a camera on such a link, and the remedy."""
+    sentence = usb_memory() if usb else full_sockets() if ethernet else None
+    return None if sentence is None else sentence.removeprefix(COMPUTER).partition("; ")[::2]
+
+
 def claims_of_brltty(vendor: int, product: int) -> bool:
     """Tell whether the rules of brltty, a program for braille displays, take a serial adapter away."""
     ids = f"{vendor:x}/{product:x}/"

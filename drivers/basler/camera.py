@@ -13,7 +13,7 @@ from pypylon import genicam, pylon
 from drivers.basler.families import BASLER_RAW, family_of, raw_gain_of
 from drivers.basler.frames import BufferPool
 from drivers.basler.transport import Pylon, lost_on_link
-from drivers.computer_settings import full_sockets, usb_memory
+from drivers.computer_settings import cause_in_settings
 from drivers.genicam import names as named
 from drivers.genicam.buffers import SPARE_BUFFERS
 from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera, message_of
@@ -22,10 +22,9 @@ from drivers.genicam.gain import CameraGain
 from drivers.genicam.options import GenicamOptions
 from drivers.genicam.pixels import PACKED
 from fpplab.core import config
-from fpplab.core.errors import ConfigError, DeviceError, DisconnectedError, FrameLossError
+from fpplab.core.errors import ConfigError, DeviceError, DisconnectedError
 from fpplab.core.files import write_text
 from fpplab.devices import DeviceInfo, Frame, State, Trigger
-from fpplab.devices.discovery import COMPUTER
 
 
 class BaslerOptions(GenicamOptions):
@@ -141,18 +140,10 @@ class BaslerCamera(GenicamCamera):
     def _link(self) -> str:
         return str(self._camera.GetDeviceInfo().GetDeviceClass())
 
-    def _described(self, operation: str, error: Exception) -> DeviceError:
-        described = super()._described(operation, error)
-        cause = self._cause_in_settings() if type(described) is DeviceError else None
-        if cause is None:
-            return described
-        return DeviceError(self.name, operation, f"{described.found}; {cause[0]}", cause[1])
-
     def _cause_in_settings(self) -> tuple[str, str] | None:
-        """Return what of the computer's settings loses frames of this link, and the remedy."""
-        look = {"BaslerUsb": usb_memory, "BaslerGigE": full_sockets}.get(self._link) if self._camera else None
-        sentence = look() if look else None
-        return None if sentence is None else sentence.removeprefix(COMPUTER).partition("; ")[::2]
+        if self._camera is None:
+            return None
+        return cause_in_settings(usb=self._link == "BaslerUsb", ethernet=self._link == "BaslerGigE")
 
     def _close(self) -> None:
         camera, self._camera = self._camera, None
@@ -197,11 +188,7 @@ class BaslerCamera(GenicamCamera):
         host_time_s = time.time()
         if not result.GrabSucceeded():
             self._check_connected("read")
-            description = f"{result.GetErrorDescription()} ({result.GetErrorCode():#x}){self._lost()}"
-            cable = "check the cable, and the USB controller or network; take the frames again"
-            cause, remedy = self._cause_in_settings() or ("", cable)
-            found = f"frame {self._taken} is damaged: {description}{cause and '; '}{cause}"
-            raise FrameLossError(self.name, "read", found, remedy)
+            raise self._damaged(f"{result.GetErrorDescription()} ({result.GetErrorCode():#x}){self._lost()}")
         index, ticks = self._index(result.GetBlockID()), result.GetTimeStamp()
         device_time_s = ticks / self._ticks_per_s if ticks else None  # 0 of a camera without a clock
         settings = self._configured("read")

@@ -92,11 +92,7 @@ class BenchClock(SteppedClock):
     def next_change_s(self) -> float:
         """Do what is due now, and return when the light may next change by itself."""
         self.controller.advance()
-        sequencer = self.controller.sequencer
-        ends_s = sequencer.shown.illuminated_until_s if sequencer.shown else None
-        return min(
-            (s for s in (sequencer.next_s, ends_s) if s is not None and s > self._now_s), default=NEVER
-        )
+        return min((s for s in self.controller.changes_s() if s > self._now_s), default=NEVER)
 
 
 @dataclass(frozen=True)

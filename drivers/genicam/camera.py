@@ -17,6 +17,7 @@ from fpplab.core.errors import (
     DeviceError,
     DeviceTimeoutError,
     DisconnectedError,
+    FrameLossError,
     SettingError,
     StateError,
 )
@@ -51,6 +52,10 @@ class GenicamCamera(Camera):
     def _is_in_use(self, error: Exception) -> bool:
         """Whether an exception says that another program has the camera open."""
 
+    @abstractmethod
+    def _cause_in_settings(self) -> tuple[str, str] | None:
+        """Return what of the computer's settings loses frames of this camera, and the remedy."""
+
     @contextmanager
     def _guard(self, operation: str) -> Iterator[None]:
         """Translate the library's exceptions into the device errors of fpplab."""
@@ -65,8 +70,9 @@ class GenicamCamera(Camera):
             return StateError(self.name, operation, "another program has the camera open", "close it there")
         if self._is_gone():
             return self._disconnected(operation)
-        found = f"{self.LIBRARY} says: {message_of(error)}"
-        return DeviceError(self.name, operation, found, "close it and open it again")
+        cause, remedy = self._cause_in_settings() or ("", "close it and open it again")
+        found = f"{self.LIBRARY} says: {message_of(error)}{cause and '; '}{cause}"
+        return DeviceError(self.name, operation, found, remedy)
 
     def _check_connected(self, operation: str) -> None:
         if self._is_gone():
@@ -75,6 +81,12 @@ class GenicamCamera(Camera):
     def _disconnected(self, operation: str) -> DisconnectedError:
         found = "the camera was unplugged or switched off"
         return DisconnectedError(self.name, operation, found, "plug it in and open it again")
+
+    def _damaged(self, description: str) -> FrameLossError:
+        cable = "check the cable, and the USB controller or network; take the frames again"
+        cause, remedy = self._cause_in_settings() or ("", cable)
+        found = f"frame {self._taken} is damaged: {description}{cause and '; '}{cause}"
+        return FrameLossError(self.name, "read", found, remedy)
 
     def _never_ready(self, operation: str) -> DeviceTimeoutError:
         found = "the camera does not become ready for a trigger"

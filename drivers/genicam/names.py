@@ -50,7 +50,7 @@ LINE_INVERTER: FeatureNames = ("LineInverter",)
 LINE_DEBOUNCER_US: FeatureNames = ("LineDebouncerTime", "LineDebouncerTimeAbs")
 GAIN_SELECTOR: FeatureNames = ("GainSelector",)
 GAMMA: FeatureNames = ("Gamma",)
-GAMMA_ENABLE: FeatureNames = ("GammaEnable",)
+GAMMA_ENABLE: FeatureNames = ("GammaEnable", "GammaEnabled")
 
 ALL_CHANNELS: tuple[FeatureNames, ...] = (GAIN_SELECTOR, ("BlackLevelSelector",))
 """Selectors of what gain and black level apply to; the first of `WHOLE` that the camera has."""

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 from genicam import genapi, gentl
 
+from drivers.computer_settings import cause_in_settings
 from drivers.genicam import names as named
 from drivers.genicam.buffers import SPARE_BUFFERS
 from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera
@@ -20,7 +21,7 @@ from drivers.genicam.pixels import PACKED
 from drivers.gentl.makers import maker_of
 from drivers.gentl.producer import GentlFrame, GentlProducer, IncompleteBufferError
 from fpplab.core import config
-from fpplab.core.errors import CapabilityError, DisconnectedError, FrameLossError
+from fpplab.core.errors import CapabilityError, DisconnectedError
 from fpplab.devices import CameraCaps, DeviceInfo, Frame, Trigger
 
 
@@ -108,8 +109,9 @@ class GentlCamera(GenicamCamera):
         return caps
 
     def _period_s(self) -> float | None:
-        if not self._maker.rate_is_limit or not self._features.has(named.FRAME_RATE_HZ):
-            return super()._period_s()
+        told_s = super()._period_s()
+        if told_s or not self._maker.rate_is_limit or not self._features.has(named.FRAME_RATE_HZ):
+            return told_s
         # Nothing says that such a camera takes a trigger while it reads the frame before.
         return self._exposure_s() + 1.0 / self._features.limits(named.FRAME_RATE_HZ)[1]
 
@@ -128,12 +130,7 @@ class GentlCamera(GenicamCamera):
         try:
             frame: GentlFrame | None = self._end.fetch(timeout_s)
         except IncompleteBufferError as error:
-            raise FrameLossError(
-                self.name,
-                "read",
-                f"frame {self._taken} is damaged: only a part of its data came",
-                "check the cable, and the USB controller or network; take the frames again",
-            ) from error
+            raise self._damaged("only a part of its data came") from error
         host_time_s = time.time()
         if frame is None:
             self._check_connected("read")
@@ -165,6 +162,10 @@ class GentlCamera(GenicamCamera):
             if time.monotonic() >= deadline:
                 raise self._never_ready(operation)
             time.sleep(0.001)
+
+    def _cause_in_settings(self) -> tuple[str, str] | None:
+        link = "" if self._end is None else self._end.link
+        return cause_in_settings(usb="U3V" in link, ethernet="GEV" in link)
 
     def _is_in_use(self, error: Exception) -> bool:
         return isinstance(error, gentl.ResourceInUseException | gentl.AccessDeniedException)

@@ -1,8 +1,9 @@
 """What cameras of other makers add to the names of `drivers.genicam.names`, one entry for each maker.
 
-A camera may lack any of the features. Names of JAI, Allied Vision, Hikrobot and, in part, Daheng are those of
-public node lists and headers; those of FLIR and IDS are the names in common use, unchecked.
-None of the tables has been compared with a camera.
+A camera may lack any of the features. The names are those of public node lists and headers. FLIR: technical
+reference of Blackfly S, list of Spinnaker's nodes in rotpy, node dumps of Chameleon3 in simple_pyspin and of
+Grasshopper3 in storm-control. IDS: what public programs for IDS peak read and write, as its manual was not at
+hand. Daheng: in part. None of the tables has been compared with a camera.
 """
 
 import re
@@ -22,8 +23,8 @@ class Maker:
     selected_raw: tuple[tuple[FeatureNames, FeatureNames, object], ...] = SELECTED_RAW
     gain_is_factor: bool = False  # whether `Gain` is a factor instead of dB
     rate_is_limit: bool = False
-    """Whether the greatest `AcquisitionFrameRate` is the one that exposure, readout and link allow; the
-    camera has no other feature that tells it."""
+    """Whether the greatest `AcquisitionFrameRate` is the one that exposure, readout and link allow, for
+    cameras without another feature that tells it."""
 
 
 COLOUR = (("ColorTransformationEnable",), False)
@@ -32,6 +33,7 @@ FLIR = Maker(
     "FLIR|Teledyne FLIR|Point Grey",
     line="Line0",
     raw=(
+        (("VideoMode",), "Mode0"),  # others bin, and some correct defective pixels without telling
         (("AcquisitionFrameRateAuto",), "Off"),
         (("AcquisitionFrameRateEnabled",), False),
         (("pgrExposureCompensationAuto",), "Off"),
@@ -41,12 +43,19 @@ FLIR = Maker(
         (("BlackLevelClampingEnable",), False),
         (("SaturationEnable", "SaturationEnabled"), False),
         (("HueEnabled",), False),
-        (("IspEnable",), False),
+        (("IspEnable", "OnBoardColorProcessEnabled"), False),
         COLOUR,
         (("AdaptiveCompressionEnable",), False),
     ),
+    rate_is_limit=True,
 )
-IDS = Maker("IDS", line="Line0", gain_is_factor=True, rate_is_limit=True)
+IDS = Maker(
+    "IDS",
+    line="Line0",
+    raw=((("AcquisitionFrameRateTargetEnable",), False),),
+    gain_is_factor=True,
+    rate_is_limit=True,
+)
 ALLIED_VISION = Maker(
     "Allied Vision",
     line="Line0",

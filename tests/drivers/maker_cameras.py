@@ -71,13 +71,26 @@ CAMERAS = {
         | switches("GammaEnable", "IspEnable", "LUTEnableLUT1"),
         overlaps("Off", "ReadOut") | {"LUTSelector": choice("LUTSelector", "LUT1")},
     ),
+    "point grey": MakerCamera(
+        "Point Grey Research",
+        "Line0",
+        "FrameStart",
+        "AcquisitionFrameRate",
+        switches("GammaEnabled", "SharpnessEnabled", "pgrDefectPixelCorrectionEnable")
+        | switches("OnBoardColorProcessEnabled", "BlackLevelClampingEnable")
+        | {"VideoMode": (choice("VideoMode", "Mode1", "Mode0"), "Mode0")},
+        overlaps("Off", "ReadOut"),
+        rate_is_greatest=True,
+    ),
     "ids": MakerCamera(
         "IDS Imaging Development Systems GmbH",
         "Line0",
         "ExposureStart",
         "AcquisitionFrameRate",
         GAMMA | {"GainDigitalAll": (number("GainDigitalAll", 2.0, 1.0, 8.0), 1.0)},
-        DIGITAL | {"GainAnalogAll": number("GainAnalogAll", 3.0, 1.0, 16.0)},
+        DIGITAL
+        | {"GainAnalogAll": number("GainAnalogAll", 3.0, 1.0, 16.0)}
+        | {"AcquisitionFrameRateTargetEnable": switch("AcquisitionFrameRateTargetEnable", True)},
         rate_is_greatest=True,
         gain_is_factor=True,
     ),

@@ -1,22 +1,25 @@
 """`fpplab check --steps` with the real drivers on an emulated bench."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from drivers.dlp4500.sequence import SIZE
+from drivers.emulators import bench as emulated
+from drivers.emulators.dlpc350 import STRICT
 from fpplab.acquisition import acquire
 from fpplab.core.progress import ignore
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.setup.rig_check.marker import marker
-from fpplab.setup.rig_check.steps import CheckedStep, check_steps
+from fpplab.setup.rig_check.steps import CheckedStep, _Steps, check_steps
 from tests.drivers.emulated_rig import PLAN, burn, on_video, patterns, rig_file
 
 DIM = PLAN.model_copy(update={"exposure_s": 0.016})
-ALL = ["link", "lamp", "one pulse", "ten pulses", "rate", "exposure", "focus"]
+ALL = ["link", "lamp", "one pulse", "ten pulses", "rate", "long patterns", "exposure", "focus"]
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +68,37 @@ def test_a_dead_time_that_is_not_told_is_found(folder: Path) -> None:
     assert not rate.ok
     dead_s = float(rate.remedy.split("`")[1].split(": ")[1])
     assert stepped(rig_file(folder, sensor, {"dead_time_s": dead_s}))["rate"].ok
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("stretches", [False, True])
+@pytest.mark.parametrize(
+    ("rig_on", "sections", "remedy"),
+    [
+        (rig_file, {}, ""),
+        (on_video, {"bench": {"sensor": {"dead_us": 4000.0}}}, "expose for as long as patterns are shown"),
+    ],
+)
+def test_it_is_told_whether_a_long_pattern_is_repeated(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stretches: bool,
+    rig_on: Callable[..., Rig],
+    sections: dict[str, Any],
+    remedy: str,
+) -> None:
+    """It does harm only where patterns are shown for longer than they are exposed."""
+    monkeypatch.setattr(emulated, "STRICT_BOARD", replace(STRICT, stretches_patterns=stretches))
+    plan = DIM.model_copy(update={"trigger": "triggered", "exposure_s": 0.008334})
+    with rig_on(folder, **sections) as rig:
+        steps = _Steps(rig, plan)
+        assert steps.lamp().ok
+        step = steps.long_patterns()
+    assert step.values["repeats"] is not stretches
+    assert "is stretched over it" in step.seen if stretches else "is repeated within it" in step.seen
+    assert step.ok is not (stretches and bool(remedy))
+    assert step.remedy.startswith(remedy if stretches else "")
+    assert bool(step.remedy) is not step.ok
 
 
 @pytest.mark.whole_after(3)

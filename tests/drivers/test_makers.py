@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers import computer_settings
 from drivers.gentl import GentlCamera
 from drivers.gentl.makers import MAKERS, maker_of
 from drivers.gentl.producer import IncompleteBufferError
@@ -164,7 +165,17 @@ def test_a_line_that_the_camera_has_not_is_refused_by_name(opened: Open) -> None
         opened("flir", trigger={"line": "Line9"})
 
 
-def test_a_damaged_frame_is_told_at_once_as_what_it_is(opened: Open) -> None:
+@pytest.mark.parametrize(
+    ("link", "cause"),
+    [
+        ("GenTL U3V", "; little memory; give it more"),
+        ("GenTL GEV", "; full sockets; give them more"),
+        ("GenTL CL", "; check the cable"),
+    ],
+)
+def test_a_damaged_frame_is_told_at_once_as_what_it_is(
+    opened: Open, monkeypatch: pytest.MonkeyPatch, link: str, cause: str
+) -> None:
     camera, end, _ = opened("flir")
     camera.configure(CameraSettings(0.02, bits=BITS))
     camera.arm(2)
@@ -173,5 +184,8 @@ def test_a_damaged_frame_is_told_at_once_as_what_it_is(opened: Open) -> None:
         raise IncompleteBufferError
 
     end.fetch = fetch  # type: ignore[method-assign, assignment]
-    with pytest.raises(FrameLossError, match="frame 0 is damaged: only a part of its data came"):
+    end.link = link
+    monkeypatch.setattr(computer_settings, "usb_memory", lambda: "computer: little memory; give it more")
+    monkeypatch.setattr(computer_settings, "full_sockets", lambda: "computer: full sockets; give them more")
+    with pytest.raises(FrameLossError, match=f"frame 0 is damaged: only a part of its data came{cause}"):
         camera.read(60.0)

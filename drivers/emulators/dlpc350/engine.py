@@ -1,6 +1,7 @@
 """State of the emulated controller, and the light and trigger pulses that come of it."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from random import Random
@@ -8,15 +9,15 @@ from typing import Self, TypeVar
 
 import numpy as np
 
-from drivers.clock import Clock
+from drivers.clock import ROUNDING_S, Clock
 from drivers.display.window import VideoFrame
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.board import NO_DELAY, WHOLE_AREA
 from drivers.dlp4500.layout import Command, RegisterLayout, Values
 from drivers.dlp4500.protocol import COLOURS, COMMANDS, ENTRY, MAX_ENTRIES, DisplayMode, Source, TriggerMode
-from drivers.dlp4500.sequence import SIZE, SOLID
+from drivers.dlp4500.sequence import MIN_EXPOSURE_US, SIZE, SOLID, bit_planes
 from drivers.emulators.dlpc350.light import FlashImage, ProjectedLight
-from drivers.emulators.dlpc350.sequencer import Pulse, Sequencer, delay_s
+from drivers.emulators.dlpc350.sequencer import DisplayedPattern, Pulse, Sequencer, delay_s
 from drivers.emulators.dlpc350.video import Video, apply_area, apply_channel_swap
 
 
@@ -48,6 +49,9 @@ class Dlpc350Policy:
     sleeps_in_pattern_mode: bool = True  # standby is accepted in pattern mode; otherwise only in video mode
     reset_s: float = 2.0  # time in s that the USB device is absent after a software reset
     keeps_last_pattern: bool = True  # A sequence that is stopped
+    # A pattern that is played for longer than its shortest exposure is stretched over it, plane after plane;
+    # otherwise its planes are repeated
+    stretches_patterns: bool = False
     image_load_s: float = 0.02  # time in s that loading an image from flash takes
     load_timed_s: float = 0.0  # time in s in which a load time that is being measured reads 0
     blank_identities: int = 0  # how often the boot loader reads zeros as a part of the flash's identity
@@ -227,6 +231,7 @@ class LightEngine:
         self.frozen = False
         self.sequencer = Sequencer(self._report_pulse, self._latch_frame)
         self._frame: VideoFrame | None = None
+        self._planes: tuple[VideoFrame | None, Values, Values, FlashImage] = (None, {}, {}, _black_image())
         self._was_locked = False
         self._registers = power_on()
         self.asleep, self._awake_at_s = False, 0.0
@@ -276,9 +281,25 @@ class LightEngine:
         )
         content, entry = self._image_or_video_frame(shown.image), shown.entry
         gamma = bool(self._registers[protocol.GAMMA.number]["on"])
+        depth, number = entry["depth"], entry["pattern"]
+        if self._is_stretched(shown):
+            ends_s = shown.plane_ends_s()
+            depth, number = 1, bit_planes(depth, number)[min(bisect_right(ends_s, time_s), depth - 1)]
         return self._if_illuminated(
-            ProjectedLight(content, entry["depth"], entry["pattern"], inverted, levels, shown.image, gamma)
+            ProjectedLight(content, depth, number, inverted, levels, shown.image, gamma)
         )
+
+    def changes_s(self) -> list[float]:
+        """Return when the light may change: with the next pattern, and within the present one."""
+        shown = self.sequencer.shown
+        planes_s = shown.plane_ends_s() if shown and self._is_stretched(shown) else []
+        ends_s = [shown.illuminated_until_s] if shown else []
+        return [s for s in (self.sequencer.next_s, *ends_s, *planes_s) if s is not None]
+
+    def _is_stretched(self, shown: DisplayedPattern) -> bool:
+        min_s = 1e-6 * MIN_EXPOSURE_US[shown.entry["depth"]]
+        is_longer = shown.illuminated_until_s - shown.begin_s > min_s + ROUNDING_S
+        return self.policy.stretches_patterns and is_longer and shown.entry["pattern"] != SOLID
 
     @property
     def inverts_output_1(self) -> bool:
@@ -319,9 +340,11 @@ class LightEngine:
             return self.images[image] if image < len(self.images) else _black_image()
         if self._frame is None:
             return _black_image()
-        swap = self._registers[protocol.CHANNEL_SWAP.number]["swap"]
-        frame = apply_channel_swap(self._frame, swap, self.policy.swap_letter_is_input)
-        return apply_area(frame, self._registers[protocol.AREA.number])
+        swap, area = (self._registers[command.number] for command in (protocol.CHANNEL_SWAP, protocol.AREA))
+        if self._planes[0] is not self._frame or self._planes[1:3] != (swap, area):
+            frame = apply_channel_swap(self._frame, swap["swap"], self.policy.swap_letter_is_input)
+            self._planes = (self._frame, swap, area, apply_area(frame, area))
+        return self._planes[3]
 
     def _latch_frame(self, at_s: float) -> None:
         """Keep the frame that is on the video port, until the next one is taken."""

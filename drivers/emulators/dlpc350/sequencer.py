@@ -47,6 +47,13 @@ class DisplayedPattern:
     begin_s: float  # time in s when it began
     illuminated_until_s: float  # time in s when its exposure ends
 
+    def plane_ends_s(self) -> list[float]:
+        """Return when each bit plane ends, if all are shown once, the least significant first."""
+        depth = self.entry["depth"]
+        whole_s = self.illuminated_until_s - self.begin_s
+        shares = [((2 << plane) - 1) / ((1 << depth) - 1) for plane in range(depth)]
+        return [self.begin_s + share * whole_s for share in shares]
+
 
 def delay_s(code: int) -> float:
     return (code - ZERO_DELAY_CODE) * DELAY_STEP_US * 1e-6

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.acquisition.acquire import expose
+from fpplab.acquisition.acquire import READ_TIMEOUT_S, expose
 from fpplab.acquisition.timing import PulseTiming, pulse_timing
 from fpplab.core.conventions import Floats, full_scale
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, FrameLossError
 from fpplab.core.progress import Progress
+from fpplab.devices import Frame
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis.causes.of_rig_check import NO_TRIGGER
 from fpplab.diagnosis.causes.projector_dark import PROJECTOR_DARK
@@ -43,6 +44,15 @@ class StepCheckLimits:
     max_level: float = 0.95
     good_level: float = 0.8  # to aim at
     min_contrast: float = 0.3  # of the finest fringes; below, the lenses are out of focus
+    # Longer than their shortest exposure for which patterns are shown to see whether they repeat: enough that
+    # planes shown once are far from complete
+    longer: float = 1.2
+    # Error of a grey level as a share of white, from which on a pattern is stretched: between noise and the
+    # half of white that a plane shown once makes of it
+    max_grey_error: float = 0.1
+    # Share of the time that a stretched pattern is lit by which the exposure may be shorter: by less, its
+    # grey levels are about as wrong as by noise
+    max_unseen: float = 0.02
     pixels: int = 40_000  # of a frame that are kept, about
 
 
@@ -114,6 +124,79 @@ class _Steps:
         values = {"shortest_period_s": fastest_s, "planned_period_s": planned.period_s}
         return CheckedStep("rate", ok, evidence, remedy, values)
 
+    @property
+    def long_patterns_s(self) -> float | None:
+        """Time in s for which a pattern is shown to see whether it repeats; None where it cannot be."""
+        recover_camera(self._rig)
+        caps = self._rig.projector.caps
+        shortest_s, readout_s = max(caps.bit_depths.values()), self._rig.camera.caps.readout_s
+        repeats = max(2, math.ceil((shortest_s + readout_s) / shortest_s))
+        long_s = min(repeats * shortest_s, caps.longest_s)
+        return long_s if shortest_s and long_s >= LIMITS.longer * shortest_s + readout_s else None
+
+    def long_patterns(self) -> CheckedStep:
+        # Planes that are shown once give other grey levels in a part of the time than in all of it.
+        assert self.long_patterns_s is not None
+        caps, long_s = self._rig.projector.caps, self.long_patterns_s
+        shortest_s = max(caps.bit_depths.values())
+        patterns = self._uniform(marker().tolist())
+        whole = self._take_samples(patterns, "stepped", exposure_s=caps.period_s or shortest_s)
+        part = self._take_part(patterns, shortest_s, long_s)
+        error = float(np.abs(self._greys(part) - self._greys(whole)).max())
+        repeats = error <= LIMITS.max_grey_error
+        shown = f"a pattern that is shown for {1e3 * long_s:.6g} ms"
+        values = {"repeats": repeats, "grey_error": error}
+        if repeats:
+            return CheckedStep("long patterns", True, f"{shown} is repeated within it", "", values)
+        evidence = (
+            f"{shown} is stretched over it: {1e3 * shortest_s:.6g} ms of it have grey levels "
+            f"that are wrong by {100 * error:.3g} % of white"
+        )
+        remedy = self._remedy_for_stretching()
+        return CheckedStep("long patterns", not remedy, evidence, remedy, values)
+
+    def _remedy_for_stretching(self) -> str:
+        """What to do about the plan's own times; empty where its exposures see whole patterns."""
+        if self._plan.trigger != "triggered":
+            return ""
+        patterns, dark_between = self._uniform(marker().tolist()), self._rig.projector.caps.dark_between
+        timing = self._timing(patterns)
+        lit_s = timing.light_s if dark_between else timing.period_s
+        if self._plan.exposure_s >= (1.0 - LIMITS.max_unseen) * lit_s:
+            return ""
+        if self._rig.camera.caps.readout_s:
+            return "use a global shutter, or `shutter: global_reset` with patterns in flash"
+        return f"expose for as long as patterns are shown: at least {1e3 * lit_s:.6g} ms"
+
+    def _take_part(self, patterns: Sequence[Pattern], exposure_s: float, long_s: float) -> Floats:
+        """Samples of exposures from the beginning of patterns that are shown for longer than that."""
+        rig, plan = self._rig, self._plan
+        recover_camera(rig)
+        camera, projector = rig.camera, rig.projector
+        settings = camera.configure(rig.camera_settings(exposure_s, plan.bits))
+        projector.load(patterns)
+        dead_s = rig.file.camera.dead_s(exposure_s)
+        timing = pulse_timing(camera, projector, patterns, settings.exposure_s, dead_s)
+        camera.arm(len(patterns), "hardware")
+        try:
+            period_s = max(timing.period_s, long_s + max(timing.dark_s, projector.caps.gap_s))
+            projector.play(long_s, timing.dark_s, period_s)
+            frames = [camera.read(period_s + READ_TIMEOUT_S) for _ in patterns]
+        finally:
+            rig.make_dark()
+        return np.array([_sampled(frame) for frame in frames])
+
+    def _greys(self, frames: Floats) -> Floats:
+        """Grey levels 0 to 1 of the marker in the lit part of its frames."""
+        lit = self._change >= 0.5 * np.quantile(self._change, 0.95)
+        if readout_s := self._rig.camera.caps.readout_s:  # rows that begin with the pattern, or nearly so
+            delays_s = np.arange(lit.shape[0]) / lit.shape[0] * readout_s
+            first = delays_s[lit.any(axis=1)].min()
+            lit = lit & (delays_s <= first + LIMITS.max_unseen * readout_s)[:, None]
+        levels = frames[:, lit].mean(axis=1)
+        black, white = levels[np.argmin(marker())], levels[np.argmax(marker())]
+        return np.asarray((levels - black) / (white - black))
+
     def exposure(self) -> CheckedStep:
         # The shortest exposure is for what is brightest, the longest for what is darkest.
         exposures_s = self._plan.exposures
@@ -180,10 +263,13 @@ class _Steps:
         frames: list[Floats] = []
         lost = (DeviceTimeoutError, FrameLossError) if trigger == "triggered" else ()
         with closing(expose(rig, patterns, settings, plan, gap_s)) as shots, suppress(*lost):
-            for shot in shots:
-                every = max(1, math.isqrt(shot.image.size // LIMITS.pixels))
-                frames.append(shot.image[::every, ::every] / full_scale(shot.settings.bits))
+            frames += map(_sampled, shots)
         return np.array(frames)
+
+
+def _sampled(frame: Frame) -> Floats:
+    every = max(1, math.isqrt(frame.image.size // LIMITS.pixels))
+    return np.asarray(frame.image[::every, ::every] / full_scale(frame.settings.bits))
 
 
 def check_steps(
@@ -202,7 +288,7 @@ def check_steps(
             checked = CheckedStep(name, False, finding.evidence, finding.remedy)
         done.append(checked)
         tell(checked)
-        progress(len(done) / 7)  # steps at most
+        progress(len(done) / 8)  # steps at most
         return checked.ok
 
     with ExitStack() as stack:
@@ -219,6 +305,8 @@ def check_steps(
                 pulses = is_well("one pulse", steps.one_pulse) and is_well("ten pulses", steps.ten_pulses)
                 if pulses:
                     is_well("rate", steps.rate)
+                    if steps.long_patterns_s is not None:
+                        is_well("long patterns", steps.long_patterns)
             is_well("exposure", steps.exposure)
             is_well("focus", steps.focus)
     progress(1.0)
