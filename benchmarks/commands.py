@@ -50,6 +50,8 @@ def every_command(command: Any, before: list[str]) -> Iterator[tuple[list[str], 
     """List the words that start each command, and whether it is given input that does not exist."""
     if hasattr(command, "commands"):
         for name, each in command.commands.items():
+            if each.hidden:
+                continue  # a group shows it
             yield from every_command(each, [*before, name])
         return
     words, needs_input = list(before), False

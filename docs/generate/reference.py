@@ -13,6 +13,7 @@ import fpplab
 from docs.generate.pages import DOCS
 from fpplab.calibration.model import CalibrationFile
 from fpplab.cli import app
+from fpplab.cli.app import RARE
 from fpplab.comparison.acceptance.standard import Standard
 from fpplab.devices.rig import RigFile
 from fpplab.optimisation.study import Study
@@ -46,7 +47,8 @@ def commands_page() -> str:
         f"{HEAD}# Commands\n",
         "Every command takes `--json`: stdout is then exactly one JSON object. Exit codes: 0 done, 2 wrong "
         "input, 3 device, 4 data, 5 calibration, 130 cancelled. Names of rigs, plans, targets and studies "
-        "are those of `configs/`, or paths.\n",
+        "are those of `configs/`, or paths. Rare commands are shown below a group, and also work alone: "
+        "`fpplab doctor` is `fpplab system doctor`.\n",
         _options(typer.main.get_command(app)),
     ]
     for name, command in every_command():
@@ -55,7 +57,7 @@ def commands_page() -> str:
 
 
 def every_command() -> Iterator[tuple[str, Any]]:
-    """Give all commands that do something.
+    """Give all commands that do something, each by its shortest name.
 
     Yields
     ------
@@ -69,8 +71,8 @@ def every_command() -> Iterator[tuple[str, Any]]:
 
 def _below(group: Any, path: str) -> Iterator[tuple[str, Any]]:
     for name, command in sorted(group.commands.items()):
-        if command.hidden:
-            continue
+        if name in RARE.get(path.strip(), ()):
+            continue  # it is also a command by itself
         if hasattr(command, "commands"):
             yield from _below(command, f"{path}{name} ")
         else:

@@ -9,7 +9,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from fpplab.cli import commands, console
-from fpplab.cli.app import INSTRUMENTS, app, is_single_command, sort_commands
+from fpplab.cli.app import TWIN, app, arrange_commands, is_single_command
 from fpplab.core import plugins
 
 for _module in iter_modules(commands.__path__):
@@ -19,8 +19,8 @@ for _name in plugins.plugin_names(plugins.COMMANDS):
     if is_single_command(_program):
         app.registered_commands.extend(_program.registered_commands)
     else:
-        app.add_typer(_program, name=_name, rich_help_panel=INSTRUMENTS)
-sort_commands()
+        app.add_typer(_program, name=_name, rich_help_panel=TWIN)
+arrange_commands()
 
 
 def main() -> None:

@@ -1,12 +1,14 @@
 """The program, and the options that commands have in common."""
 
 import sys
+from copy import copy
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperGroup
+from typer.models import CommandInfo, TyperInfo
 
 from fpplab.cli import console, logs
 from fpplab.cli.advice import unknown_command
@@ -18,6 +20,8 @@ from fpplab.core.errors import Cancelled, ConfigError
 from fpplab.core.lattice import Lattice
 from fpplab.core.logs import trace_devices
 from fpplab.core.version import __version__
+
+Info = TypeVar("Info", CommandInfo, TyperInfo)
 
 
 class Commands(TyperGroup):
@@ -68,6 +72,7 @@ A **rig** file lists the devices, a **plan** the patterns to project, a **target
 usual order is `characterise` (calibrate) once, then `scan`, then `compare` with the true shape.
 `fpplab demo` does all of this on the virtual bench and writes a report.
 
+Commands of `data`, `system`, `twin` and `plan` also work alone: `fpplab doctor` is `fpplab system doctor`.
 Exit codes: 0 done, 2 wrong input, 3 device, 4 data, 5 calibration, 130 cancelled.""",
 )
 
@@ -133,16 +138,46 @@ JUDGE, TWIN, INSTRUMENTS = "Compare with the true shape", "Use the digital twin"
 PANELS = (START, PREPARE, MEASURE, JUDGE, TWIN, INSTRUMENTS)
 """Headings of `fpplab --help`, in its order; a command names its own."""
 
+RARE = {
+    "data": ("convert", "decode", "export", "import", "report", "session"),
+    "plan": ("exposure",),
+    "system": ("bug-report", "cache", "camera", "cluster", "dlp4500", "doctor", "emulate", "serve"),
+    "twin": ("compare-rigs", "dataset"),
+}
+"""Commands that `fpplab --help` shows below a group only; `fpplab doctor` is `fpplab system doctor`."""
+
 
 def is_single_command(program: typer.Typer) -> bool:
     alone = len(program.registered_commands) == 1 and not program.registered_groups
     return alone and program.registered_callback is None
 
 
-def sort_commands() -> None:
+def arrange_commands() -> None:
+    """Sort the commands by heading and name, and put the rare ones into their groups too."""
+    for name, panel, purpose in (
+        ("data", MEASURE, "Import, decode, convert and export recordings and results."),
+        ("system", START, "Check this computer, report bugs, run devices and services."),
+    ):
+        group = typer.Typer(cls=Commands, help=purpose, no_args_is_help=True)
+        app.add_typer(group, name=name, rich_help_panel=panel)
+    groups = {info.name: info.typer_instance for info in app.registered_groups}
+    for owner, names in RARE.items():
+        inside = groups[owner]
+        assert inside is not None
+        for info in [each for each in app.registered_commands if each.name in names]:
+            inside.registered_commands.append(_shown_below(info))
+        for each in [each for each in app.registered_groups if each.name in names]:
+            inside.registered_groups.append(_shown_below(each))
     app.registered_commands.sort(
         key=lambda command: (PANELS.index(str(command.rich_help_panel)), command.name or "")
     )
+
+
+def _shown_below(info: Info) -> Info:
+    """Hide a command where it is, and give a copy that a group shows."""
+    copied = copy(info)
+    copied.rich_help_panel, info.hidden = None, True
+    return copied
 
 
 Json = Annotated[bool, option("--json", "Print one JSON object on stdout and everything else on stderr.")]

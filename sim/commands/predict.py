@@ -26,12 +26,13 @@ def predict_command(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Predict a measurement before making it: distance, lengths, noise, completeness, wrong orders and time.
+    """Predict a measurement before making it.
 
-    The distance is the one that `fpplab compare --align` will report, together with what the alignment
-    removes. Each figure has a 95 % interval that includes the scatter of the noise, the uncertainty of the
-    twin's geometry (`calibration.yaml`), and the differences between twin and bench (`discrepancy.yaml`);
-    `fpplab match` writes both next to the rig file. A sample of the image rows is simulated.
+    Predicts distance, lengths, noise, completeness, wrong orders and time. The distance is the one that
+    `fpplab compare --align` will report, together with what the alignment removes. Each figure has a 95 %
+    interval that includes the scatter of the noise, the uncertainty of the twin's geometry
+    (`calibration.yaml`), and the differences between twin and bench (`discrepancy.yaml`); `fpplab match`
+    writes both next to the rig file. A sample of the image rows is simulated.
 
     Example: `fpplab predict --rig matched/rig.yaml --plan plan_paper --item pyramid`
     """

@@ -6,13 +6,13 @@ from typing import Annotated, Literal
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import INSTRUMENTS, Commands, Force, Json, Out, RigName
+from fpplab.cli.app import TWIN, Commands, Force, Json, Out, RigName
 
 twin = typer.Typer(
     cls=Commands,
     no_args_is_help=True,
-    rich_help_panel=INSTRUMENTS,
-    help="Show simulated rigs in Blender and record scans from there.",
+    rich_help_panel=TWIN,
+    help="Data sets, comparison with a bench, and Blender.",
 )
 """`fpplab twin …`."""
 

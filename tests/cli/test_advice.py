@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from fpplab import Calibration, __version__
 from fpplab.cli import app
 from fpplab.cli.advice import OPTION_SYNONYMS, SYNONYMS, unknown_command, unknown_option
+from fpplab.cli.app import RARE
 from fpplab.cli.lists import global_first
 from fpplab.core.config import find_config, shipped_configs
 from fpplab.core.errors import ConfigError
@@ -76,7 +77,7 @@ def test_a_synonym_is_answered_with_the_command(fpplab: Command) -> None:
     assert done.code == 2
     assert done.json == {
         "error": "there is no command 'calibrate'; did you mean `fpplab characterise` (Calibrate camera and "
-        "projector, or test, correct or combine calibrations)?",
+        "projector, or correct a calibration)?",
         "exit_code": 2,
     }
     assert done.err == f"fpplab: {done.json['error']}\n"
@@ -210,3 +211,16 @@ def test_options_of_the_program_may_follow_the_command() -> None:
     ]
     assert global_first(["scan", "--log=f", "--", "-v"]) == ["--log=f", "scan", "--", "-v"]
     assert global_first(["scan", "--log"]) == ["scan", "--log"]
+
+
+def test_all_groups_fit_one_screen_and_rare_commands_work_by_both_names() -> None:
+    """33 lines of 80 columns; what a group shows is the command of the same name, so that scripts go on."""
+    said = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80", "TERMINAL_WIDTH": "80"}).output
+    assert 20 < len(said[said.index("─ Start here") :].splitlines()) <= 33
+    for group, names in RARE.items():
+        for name in names:
+            alone, inside = COMMANDS[name], COMMANDS[group].commands[name]
+            assert (alone.hidden, inside.hidden) == (True, False)
+            assert (alone.help, [each.opts for each in alone.params]) == (
+                inside.help, [each.opts for each in inside.params],
+            )  # fmt: skip

@@ -28,11 +28,11 @@ def artefact_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write the true shape of an artefact as STL, in mm, to print it and to compare scans with it.
+    """Write the true shape of an artefact as STL, in mm.
 
-    Print the exact shape, but compare with the shape as sliced: layers of 0.2 mm turn a slope into a
-    staircase that is up to 0.1 mm off, and leave marks on walls, which would otherwise count as measurement
-    errors.
+    It is printed, and scans are compared with it. Print the exact shape, but compare with the shape as
+    sliced: layers of 0.2 mm turn a slope into a staircase that is up to 0.1 mm off, and leave marks on walls,
+    which would otherwise count as measurement errors.
 
     Example: `fpplab artefact pyramid --out pyramid.stl`, and after printing `fpplab artefact pyramid --layer
     0.2 --bead 0.03 --out printed.stl`

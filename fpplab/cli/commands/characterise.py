@@ -129,7 +129,7 @@ def characterise_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Calibrate camera and projector, or test, correct or combine calibrations.
+    """Calibrate camera and projector, or correct a calibration.
 
     The poses of the board come from recorded sessions, or with `--rig` are recorded now (their sessions are
     kept in a folder next to the result). Use at least ten poses, tilted by up to 30 degrees and spread over

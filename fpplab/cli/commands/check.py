@@ -54,15 +54,15 @@ def check_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Test the rig: does each frame show its own pattern, and what is wrong if not.
+    """Test a rig, and say what is wrong with it.
 
-    Projects twelve uniform grey levels, stepped and, if camera and projector support it, triggered, with the
-    exposure and settling time of the plan; reports the settling time that the display needs. Then projects
-    the fringes of the plan and reports problems of light, focus, response and motion. With --calibration it
-    projects fringes along both axes and tests whether the calibration still fits the rig. With --steps it
-    tests one thing after another, for the first day with a rig, and stops where it cannot continue. The exit
-    code is 0 without findings and 3 with findings. --out saves a picture of each finding: the frame, map or
-    curve that shows it.
+    Tests whether each frame shows its own pattern. Projects twelve uniform grey levels, stepped and, if
+    camera and projector support it, triggered, with the exposure and settling time of the plan; reports the
+    settling time that the display needs. Then projects the fringes of the plan and reports problems of light,
+    focus, response and motion. With --calibration it projects fringes along both axes and tests whether the
+    calibration still fits the rig. With --steps it tests one thing after another, for the first day with a
+    rig, and stops where it cannot continue. The exit code is 0 without findings and 3 with findings. --out
+    saves a picture of each finding: the frame, map or curve that shows it.
 
     With --board nothing else is tested: one pose of the board is compared with the calibration. If they
     agree, the date is recorded in the calibration; if not, the exit code is 3 and the folder contains a

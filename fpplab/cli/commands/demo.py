@@ -16,7 +16,7 @@ def demo_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Measure three artefacts on the virtual bench, from gamma to report.
+    """Measure three artefacts on the virtual bench, with a report.
 
     Shows the whole method: response, characterisation with a circle board, scans of a pyramid, pillars and
     steps, and their comparison with the true shapes. Open the report whose path is printed.

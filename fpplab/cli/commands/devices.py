@@ -8,9 +8,10 @@ from fpplab.cli.app import PREPARE, Json, app
 
 @app.command("devices", rich_help_panel=PREPARE)
 def devices_command(json: Json = False) -> None:
-    """List the cameras, projectors, displays and stages found, and why others are missing.
+    """List the cameras, projectors, displays and stages found.
 
-    Names a rig file supplied with fpplab for each device that has one; `fpplab rig new` writes a rig file.
+    Says why others are missing. Names a rig file supplied with fpplab for each device that has one; `fpplab
+    rig new` writes a rig file.
     """
     from fpplab.devices.discovery import connected_devices
 

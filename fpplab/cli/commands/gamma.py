@@ -29,10 +29,11 @@ def gamma_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Measure the response (gamma) `I_out = a I_in^g + b` of projector and camera together.
+    """Measure the response (gamma) of projector and camera.
 
-    Projects uniform grey levels, says whether the response is good enough for the plan, and writes OUT with
-    a picture and a report next to it. A plan with the line `response: OUT` corrects its patterns by it.
+    The response is `I_out = a I_in^g + b` of both together. Projects uniform grey levels, says whether the
+    response is good enough for the plan, and writes OUT with a picture and a report next to it. A plan with
+    the line `response: OUT` corrects its patterns by it.
 
     Example: `fpplab gamma --rig rig_demo --plan plan_paper --levels 24 --repeats 4 --out response.yaml`
     """

@@ -28,7 +28,7 @@ from fpplab.core.errors import DataError
 
 plan_app = typer.Typer(
     cls=Commands,
-    help="Inspect a plan before measuring, or write one: of fine fringes, or from images.",
+    help="Inspect a plan, or write one from a goal or from images.",
     no_args_is_help=True,
 )
 app.add_typer(plan_app, name="plan", rich_help_panel=PREPARE)

@@ -50,11 +50,11 @@ def reconstruct_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Compute the cloud of a recorded session: `.ply` (with normals and colour), `.xyz` or `.npz`.
+    """Compute the points of a recorded session.
 
-    A report with pictures is written next to it. `verdict` says whether the points can be trusted,
-    `findings` why not; unusable points are not written, and the exit code is 4. `removed` says how many
-    points each rule of the plan's filter removed.
+    Writes `.ply` (with normals and colour), `.xyz` or `.npz`. A report with pictures is written next to it.
+    `verdict` says whether the points can be trusted, `findings` why not; unusable points are not written, and
+    the exit code is 4. `removed` says how many points each rule of the plan's filter removed.
 
     Maps from `fpplab import --phase` or `fpplab decode` are triangulated without filter and report; as there
     are no frames to check, their points are `doubtful` at best.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 rig_app = typer.Typer(
     cls=Commands,
-    help="Write a rig file for the connected devices, or measure the timing of a rig.",
+    help="Write a rig file for connected devices; measure timing.",
     no_args_is_help=True,
 )
 app.add_typer(rig_app, name="rig", rich_help_panel=PREPARE)

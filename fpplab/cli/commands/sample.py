@@ -16,12 +16,12 @@ def sample_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a small data set with its truth, for teaching and for trying other programs.
+    """Write a small data set with its truth, for teaching.
 
     FOLDER gets a board in 8 poses, the calibration from them, a pyramid under phase-shifted fringes and under
     Gray code, and what no bench can know: the true calibration, surface and depth. All is recorded on the
-    virtual bench in about a minute; `README.md` in FOLDER says what each file is. An interrupted run is
-    completed by the same command.
+    virtual bench in about a minute; `README.md` in FOLDER says what each file is.
+    Other programs can be tried on it. An interrupted run is completed by the same command.
 
     Example: `fpplab sample lesson`
     """

@@ -53,7 +53,7 @@ def scan_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Measure: project the plan, and write the session with its cloud to OUT.
+    """Measure: project a plan; write frames, points and report.
 
     The same command completes an interrupted scan. If `fpplab serve` has the rig open, the scan is done by
     the service, with the same files and results. OUT contains the frames, `decoded.npz`, `cloud.ply` and

@@ -26,7 +26,9 @@ def target_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Draw a board or reference marks for printing at true scale, with a ruler to check the scale.
+    """Draw a board or reference marks to print at true scale.
+
+    A ruler on the sheet shows whether the printer kept the scale.
 
     Examples: `fpplab target target_paper --out board.pdf`; `fpplab target marks --out marks.pdf`
     """

@@ -35,10 +35,11 @@ def view_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Show a session in the rerun viewer: images, phase, maps, cloud by uncertainty, devices.
+    """Show a session in the rerun viewer.
 
-    Without a display it is served to a browser on this computer, at the address printed. It ends when its
-    window or page is closed, or with Ctrl-C. A folder that is not a session is shown by its `view.rrd`.
+    Shows images, phase, maps, the cloud by uncertainty, and the devices. Without a display it is served to a
+    browser on this computer, at the address printed. It ends when its window or page is closed, or with
+    Ctrl-C. A folder that is not a session is shown by its `view.rrd`.
 
     Example: `fpplab view pyramid --mesh pyramid.stl --align`
     """
