@@ -212,6 +212,8 @@ class Dlp4500(Projector):
             gap_s=storage.gap_us * 1e-6,
             period_s=storage.still_us * 1e-6,
             dark_between=storage.dark_between,
+            trigger_inputs=int(isinstance(storage, InFlash)),  # others take the frames of the port
+            flashes=True,
             leds=COLOURS,
         )
 
@@ -229,6 +231,10 @@ class Dlp4500(Projector):
 
     def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
         self._storage.play(self._board, round(exposure_s * 1e6), ceil(dark_s * 1e6), ceil(period_s * 1e6))
+
+    def _follow(self, pulse_s: float) -> None:
+        assert isinstance(self._storage, InFlash)
+        self._storage.follow(self._board, int(pulse_s * 1e6))
 
     def _blank(self) -> None:
         self._board.go_dark()

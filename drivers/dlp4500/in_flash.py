@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from drivers.dlp4500.controller import Controller
 from drivers.dlp4500.index import FlashIndex, index_checksum
-from drivers.dlp4500.protocol import DisplayMode
+from drivers.dlp4500.protocol import DisplayMode, PatternTrigger
 from drivers.dlp4500.sequence import (
     MAX_EXPOSURE_US,
     MIN_EXPOSURE_US,
@@ -22,6 +22,10 @@ from fpplab.core import config
 from fpplab.core.errors import CapabilityError, ConfigError, SettingError, SyncError
 from fpplab.devices import PatternLoads
 from fpplab.patterns.fringes import Pattern
+
+FOLLOWING_US = 500
+"""Time in µs of a camera's exposure in which no pattern is shown (chosen): from its beginning to that of the
+pattern, which TI does not state, and the gap that must end before the next exposure begins."""
 
 
 class InFlash:
@@ -91,11 +95,29 @@ class InFlash:
 
     def play(self, board: Controller, exposure_us: int, dark_us: int, period_us: int) -> None:
         """Start a run of all patterns; returns once it has begun."""
-        program = self._program(self._slots, exposure_us, dark_us, period_us)
+        self._start(board, self._program(self._slots, exposure_us, dark_us, period_us))
+
+    def _start(self, board: Controller, program: Program) -> None:
         with board.dark_on_failure():
             self._forced_before = board.has_forced_swap()
             board.run(program)
         self._played = True
+
+    def follow(self, board: Controller, pulse_us: int) -> None:
+        """Show each pattern with a pulse on trigger input 1, as often as it fits, and be dark in between."""
+        # A pattern is not held until a pulse ends: the controller shows it for a fixed time, after which the
+        # last bit plane would stay, and takes no pulse before its period is over.
+        shortest_us = max(MIN_EXPOSURE_US[slot.bits] for slot in self._slots)
+        needed_us = max(shortest_us + FOLLOWING_US, min_period_us(self._slots, self._load_us))
+        if pulse_us < needed_us:
+            raise SettingError(
+                self._name,
+                "follow",
+                f"exposures of {1e-3 * pulse_us:g} ms bring the patterns",
+                f"at least {1e-3 * needed_us:g} ms: lengthen the plan's exposure_s",
+            )
+        exposure_us = (pulse_us - FOLLOWING_US) // shortest_us * shortest_us
+        self._start(board, self._program(self._slots, exposure_us, MIN_GAP_US, trigger=PatternTrigger.RISING))
 
     def check_played(self, board: Controller) -> None:
         """Check that every image was loaded in time."""
@@ -109,11 +131,22 @@ class InFlash:
             )
 
     def _program(
-        self, slots: Sequence[Slot], exposure_us: int, dark_us: int = 0, period_us: int = 0
+        self,
+        slots: Sequence[Slot],
+        exposure_us: int,
+        dark_us: int = 0,
+        period_us: int = 0,
+        trigger: PatternTrigger = PatternTrigger.INTERNAL,
     ) -> Program:
         try:
             return flash_program(
-                slots, exposure_us, self._leds, load_us=self._load_us, dark_us=dark_us, period_us=period_us
+                slots,
+                exposure_us,
+                self._leds,
+                load_us=self._load_us,
+                dark_us=dark_us,
+                period_us=period_us,
+                trigger=trigger,
             )
         except ValueError as error:
             raise SettingError(self._name, "load", str(error), "change the plan") from error

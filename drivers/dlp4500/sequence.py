@@ -153,6 +153,7 @@ def flash_program(
     load_us: Mapping[int, int] | None = None,
     dark_us: int = 0,
     period_us: int = 0,
+    trigger: PatternTrigger = PatternTrigger.INTERNAL,
 ) -> Program:
     """Build a sequence of patterns in flash, each with a pulse on trigger output 1."""
     # Where an image would be loaded too late, all periods are extended, so that dark time follows each
@@ -164,7 +165,8 @@ def flash_program(
         swap = not images or slot.image != images[-1]
         if swap:
             images.append(slot.image)
-        entries.append(Entry(slot.number, slot.bits, slot.lit(leds), swap=swap))
+        waits = trigger is not PatternTrigger.INTERNAL  # for which a pattern must end in black
+        entries.append(Entry(slot.number, slot.bits, slot.lit(leds), trigger, black_after=waits, swap=swap))
     minimum = max(exposure_us + dark_us, period_us, min_period_us(slots, load_us or {}, repeat))
     program = Program(
         Source.FLASH,

@@ -125,6 +125,7 @@ class EmulatedBench:
             self.shutter, self._exposures = EmulatedShutter(self.clock, self._options.sensor), 0
             bayer = self.optics_rig.camera.caps.bayer
             self.pylon = BenchPylon(self.optics.size, self.shutter, self._render, self._options.sensor, bayer)
+            self.shutter.on_strobe = self._on_strobe
             self.pylon.start()
             stack.callback(self.pylon.close)
             self.terminal = self._make_stage(stack)
@@ -225,7 +226,12 @@ class EmulatedBench:
                 assert greys is not None
                 yield greys
 
-    # --- the trigger cable
+    # --- the trigger cables
+
+    def _on_strobe(self, active: bool) -> None:
+        """Carry the camera's output to the projector's trigger input 1, if one is active while it exposes."""
+        if self.pylon.has_strobe() and not self.faults.cut:
+            self.controller.trigger_in(1, active)
 
     def _on_pulse(self, pulse: Pulse) -> None:
         if pulse.output != 1:

@@ -56,6 +56,10 @@ class BenchPylon(EmulatedPylon):
         waiting = [c for c in self._open.values() if isinstance(c, BenchCamera) and c.waits_for_pulse()]
         return waiting[0] if waiting else None
 
+    def has_strobe(self) -> bool:
+        """Return whether an output of the camera is active while it exposes."""
+        return any(isinstance(c, BenchCamera) and c.has_strobe() for c in self._open.values())
+
     def read_out(self, settings: CameraSettings, collected: CollectedLight) -> Image:
         picture = self._render(settings, collected)
         image: Image = np.zeros(self.size[::-1], raw_dtype(settings.bits))
@@ -89,6 +93,15 @@ class BenchCamera(EmulatedCamera):
         """Trigger as pylon does, for an exposure that begins now."""
         super().ExecuteSoftwareTrigger()
         self._frame_coming = not self.unplugged
+
+    def has_strobe(self) -> bool:
+        lines = self.instant.LineSelector
+        selected, states = lines.GetValue(), []
+        for line in lines.GetSettableValues():
+            lines.SetValue(line)
+            states.append((self.instant.LineMode.GetValue(), self.instant.LineSource.GetValue()))
+        lines.SetValue(selected)
+        return ("Output", "ExposureActive") in states
 
     def waits_for_pulse(self) -> bool:
         with suppress(genicam.GenericException):  # it is being closed, or is gone

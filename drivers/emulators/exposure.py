@@ -112,6 +112,8 @@ class EmulatedShutter:
         self._past: deque[LightInterval] = deque()
         self._exposures: deque[Exposure] = deque()
         clock.on_interval = self._record_interval
+        self.on_strobe: Callable[[bool], None] = lambda active: None
+        """Called when an exposure that the computer orders begins and when it ends."""
         self.clear()
 
     def clear(self, buffers: float = math.inf) -> None:
@@ -151,7 +153,9 @@ class EmulatedShutter:
         with self._clock.lock:
             begin_s = self._clock.now()
             exposure = Exposure(settings, begin_s, begin_s + settings.exposure_s)
+            self.on_strobe(True)
             self._clock.sleep_until(exposure.end_s)
+            self.on_strobe(False)
             return self._collect_light(exposure)
 
     def _record_interval(self, interval: LightInterval) -> None:

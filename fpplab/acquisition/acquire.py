@@ -192,14 +192,21 @@ def _followed(
     settings: CameraSettings,
     settle_s: float,
 ) -> Iterator[Frame]:
-    """Let the camera be the clock: the end of each exposure brings the next pattern."""
+    """Let the camera be the clock: each exposure brings its pattern."""
     check_stepped(camera)
     if not camera.caps.strobe:
         raise CapabilityError(
             camera.name, "arm", "has no output that is active while it exposes", "use a stepped plan"
         )
+    if camera.caps.readout_s and projector.caps.flashes:
+        raise CapabilityError(
+            projector.name,
+            "follow",
+            "shows a pattern for a part of each exposure, and the camera's rows are not exposed together",
+            "use a global shutter, or a stepped plan",
+        )
     camera.arm(len(patterns), "software")
-    projector.follow()
+    projector.follow(settings.exposure_s)
     for pattern in patterns:
         time.sleep(settle_s)
         yield in_step(camera, camera.read(timeout_s=settings.exposure_s + READ_TIMEOUT_S), pattern)

@@ -29,7 +29,9 @@ class ProjectorCaps:
     """Time in which a pattern that is shown repeats, its bit planes one after another: an exposure sees them
     completely if it lasts a whole number of these. 0 where light is steady, or where this is not known."""
     dark_between: bool = True  # whether it can be dark between played patterns
-    trigger_inputs: int = 0  # how many inputs step to the next pattern; 0 where it cannot follow a camera
+    trigger_inputs: int = 0  # how many inputs bring patterns; 0 where it cannot follow a camera
+    flashes: bool = False
+    """Whether a pattern that follows a camera is shown for a part of the exposure only."""
     leds: tuple[str, ...] = ()  # colours of the LEDs of which one alone can light a pattern
 
 
@@ -166,10 +168,15 @@ class Projector(Device):
         self._state = State.ARMED
 
     @final
-    def follow(self) -> None:
-        """Show the first loaded pattern, and the next at the end of each pulse at its input.
+    def follow(self, pulse_s: float) -> None:
+        """Show the loaded patterns in order, one for each pulse at its input; ARMED until `blank`.
 
-        It is ARMED until `blank`.
+        Each is shown from the beginning of its pulse, or before, and not beyond the next one.
+
+        Parameters
+        ----------
+        pulse_s : float
+            Duration of the pulses in s: the camera's exposure.
 
         Raises
         ------
@@ -177,6 +184,8 @@ class Projector(Device):
             It has no trigger input.
         StateError
             No patterns are loaded.
+        SettingError
+            The pulses are too short for the patterns.
         """
         self._need(State.IDLE, doing="follow")
         if not self.caps.trigger_inputs:
@@ -184,7 +193,7 @@ class Projector(Device):
         if not self._loaded:
             raise StateError(self.name, "follow", "has no patterns", "load some first")
         with self._guard("follow"):
-            self._follow()
+            self._follow(pulse_s)
         self._state = State.ARMED
 
     @final
@@ -310,11 +319,17 @@ class Projector(Device):
             The device cannot show them at these times; raised before anything is shown.
         """
 
-    def _follow(self) -> None:
-        """Show the first loaded pattern, and each next one when a pulse at the input ends.
+    def _follow(self, pulse_s: float) -> None:
+        """Show the first loaded pattern with the first pulse at the input, and so on.
 
-        Called by `follow` in IDLE, only where `trigger_inputs` is not 0; override it there. Return once the
-        first pattern is on show. After the last pattern any may be shown.
+        Called by `follow` in IDLE, only where `trigger_inputs` is not 0; override it there. A pattern may be
+        shown before its pulse: the first at once, and each next one when a pulse ends. Return once the first
+        pulse may come. After the last pattern any may be shown.
+
+        Parameters
+        ----------
+        pulse_s : float
+            Duration of the pulses in s, in which a pattern must be seen whole.
 
         Raises
         ------

@@ -161,8 +161,8 @@ class Plan(Document):
     """Wait between showing a pattern and exposing its frame in a stepped plan, in s."""
     trigger: Literal["stepped", "triggered", "followed"] = "stepped"
     """How camera and projector are synchronised: "stepped" shows a pattern and then takes its frame,
-    "triggered" has the projector's trigger expose every frame, "followed" has the end of each exposure bring
-    the projector's next pattern.
+    "triggered" has the projector's trigger expose every frame, "followed" has each exposure bring its
+    pattern.
     """
     masks: MaskRules = MaskRules()
     """Which pixels are measured."""

@@ -188,7 +188,7 @@ class ReferenceProjector(Projector):
     def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
         self._bench.pulses.extend(self._held)
 
-    def _follow(self) -> None:
+    def _follow(self, pulse_s: float) -> None:
         first, *others = self._held
         self._bench.on_show, self._bench.following = first, deque(others)
 

@@ -115,6 +115,40 @@ def test_plans_that_do_not_fit_into_the_buffers_are_taken_in_parts(
             next(taken(rig, unprovable, patterns()[:4]))
 
 
+@pytest.mark.whole
+def test_patterns_follow_the_camera(folder: Path) -> None:
+    """Each edge of its output brings the next pattern, whole, for 3 x 8.333 ms of 25.5 ms."""
+    plan = PLAN.model_copy(update={"trigger": "followed", "exposure_s": 0.0255})
+    with rig_file(folder, camera={"strobe": "Line2"}) as rig:
+        stepped = list(taken(rig, plan.model_copy(update={"trigger": "stepped"})))
+        for frame, image in zip(taken(rig, plan), stepped, strict=True):
+            unsaturated = image < 3900
+            expected_light = image[unsaturated] * (24.999 / 25.5)
+            np.testing.assert_allclose(frame[unsaturated], expected_light, rtol=0.02, atol=60)
+        with pytest.raises(SettingError, match=r"exposures of 8\.\d+ ms .*at least 20 ms"):
+            next(taken(rig, plan.model_copy(update={"exposure_s": 0.0084})))
+
+
+@pytest.mark.parametrize(
+    ("rig_on", "strobe", "complaint"),
+    [(rig_file, None, "active while it exposes"), (on_video, "Line2", "has no trigger input")],
+)
+def test_what_cannot_follow_is_refused(
+    folder: Path, rig_on: Callable[..., Rig], strobe: str | None, complaint: str
+) -> None:
+    plan = PLAN.model_copy(update={"trigger": "followed"})
+    with rig_on(folder, camera={"strobe": strobe}) as rig, pytest.raises(CapabilityError, match=complaint):
+        next(taken(rig, plan))
+
+
+@pytest.mark.whole
+def test_without_a_cable_no_pattern_follows(folder: Path) -> None:
+    plan = PLAN.model_copy(update={"trigger": "followed", "exposure_s": 0.0255})
+    with rig_file(folder, {"faults": {"cut": True}}, {"strobe": "Line2"}) as rig:
+        frames = list(taken(rig, plan))
+    assert max(frame.max() for frame in frames) < 200  # darkness alone
+
+
 def test_a_depth_that_the_optics_lack_is_shifted_up(folder: Path) -> None:
     (wanted,) = expected(patterns()[0].image)
     with rig_file(folder, camera={"bits": 16}) as rig:
