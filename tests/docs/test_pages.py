@@ -121,7 +121,8 @@ def test_a_page_that_is_wrong_is_told(tmp_path: Path, monkeypatch: pytest.Monkey
         return ""
 
     console = "```console\n$ fpplab x  # why\n{}\n```\n"
-    assert outcome(console.format("a 2")) == ""
+    assert outcome(console.format("a 1")) == ""
+    assert "prints\na 1\n\nnot\na 5" in outcome(console.format("a 5"))
     assert outcome(console.format(OMITTED)) == ""
     assert "prints\na 1\n\nnot\nb 2" in outcome(console.format("b 2"))
     assert "ends with 4" in outcome(console.format("a 2"), (4, "", "fpplab: no"))
@@ -135,11 +136,18 @@ def test_a_page_that_is_wrong_is_told(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_lines_are_compared() -> None:
-    """Numbers may differ, words may not, and lines are left out only where the page says so."""
-    assert fits(["a 1.5 ms", "b"], ["a 2 ms", "b"])
+    """Numbers may differ by a tenth, words may not, and lines are left out only where the page says so."""
+    assert fits(["a 1.5 ms", "b"], ["a 1.62 ms", "b"])
+    assert not fits(["a 1.5 ms"], ["a 1.8 ms"])
+    assert not fits(["multiply by 0.7"], ["multiply by 0.12"])
+    assert fits(["outliers: 0"], ["outliers: 1"]), "one in the last digit"
+    assert not fits(["outliers: 0"], ["outliers: 2"])
+    assert fits(["3e-05 mm"], ["3.9e-05 mm"])
+    assert fits(["seconds: 12.1"], ["seconds: 40.7"])
     assert not fits(["a 1.5 ms"], ["a 1.5 s"])
     assert not fits(["a"], ["a", "b"])
     assert fits(["a", OMITTED], ["a", "b", "c"])
+    assert fits([OMITTED, "c", OMITTED, "e 1"], ["a", "c", "c", "e 1"])
 
 
 def test_a_command_may_stand_in_several_lines(tmp_path: Path) -> None:
