@@ -21,6 +21,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
+UNKNOWN_SHELL = "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"
+"""Variable that gives the commands other options."""
 READ_LATE = {
     "COMP_CWORD",
     "COMP_WORDS",
@@ -34,7 +36,7 @@ READ_LATE = {
     "WAYLAND_DISPLAY",
     "XDG_CACHE_HOME",
     "_FPPLAB_COMPLETE",
-    "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION",
+    UNKNOWN_SHELL,
 }
 """Variables that no module reads while it is loaded, or that OpenCV and others set then."""
 NOT_LOADED = ("fpplab.__main__", "fpplab.viewer.process", "sim.warmup")
@@ -135,6 +137,20 @@ def _prepare_numba() -> None:
     cpu_target.target_context.refresh()
 
 
+def _build_commands() -> None:
+    """Build all commands from their functions, which takes every new process a quarter of a second."""
+    from typer import main as typer_main
+
+    from fpplab.cli import app
+
+    build, built = typer_main.get_command, typer_main.get_command(app)
+
+    def command_of(program: Any) -> Any:
+        return built if program is app and UNKNOWN_SHELL not in os.environ else build(program)
+
+    typer_main.get_command = command_of
+
+
 def _serve(connection: socket.socket) -> None:
     """Fork for each request and answer with the exit code; returns in the forked process alone."""
     while True:
@@ -171,6 +187,7 @@ def main() -> None:
     for name in _modules():
         importlib.import_module(name)
     _prepare_numba()
+    _build_commands()
     from fpplab.__main__ import main as program
 
     # What the command spawns asks the main module for its name, and does not run it again if it is fpplab's.
