@@ -10,7 +10,7 @@ PARALLEL := -n $(WORKERS) --dist worksteal
 # Without bytecode, every process of a test run would compile all modules and rewrite all assertions again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo docs lint test test-whole test-nightly test-twin test-usb
+.PHONY: help setup demo docs lint test test-whole test-merge test-nightly test-twin test-usb
 .PHONY: nightly crash fuzz soak mutants full-disk faults release bench clean
 
 # `make` alone installs nothing.
@@ -47,13 +47,19 @@ test: setup
 test-whole: setup
 	$(BIN)/python -m pytest -m 'whole and not nightly' $(PARALLEL)
 
+# Both, which collects the tests and starts what they share once.
+test-merge: setup
+	$(BIN)/python -m pytest -m 'not nightly' $(PARALLEL)
+
 # Repeats, rare conditions and long runs.
 test-nightly: setup
 	$(BIN)/python -m pytest -m nightly $(PARALLEL)
 
-# What depends on the versions of NumPy and Blender: all devices, the simulation, and the demonstration.
+# What depends on the versions of NumPy and Blender: all devices, the simulation, and the demonstration, of whose
+# tests those alone that judge its figures and its report.
 test-twin: setup
-	$(BIN)/python -m pytest -m 'not slow or demonstration' $(PARALLEL) tests/cli/test_demo.py tests/conformance tests/sim
+	$(BIN)/python -m pytest -m 'not slow or demonstration' $(PARALLEL) -k "not test_demo.py or test_demo_" \
+		tests/cli/test_demo.py tests/conformance tests/sim
 
 # All that takes hours; with -k, the others follow where one fails.
 nightly: SECONDS = 300

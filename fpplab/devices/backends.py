@@ -8,7 +8,8 @@ import importlib
 import logging
 import os
 from difflib import get_close_matches
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -135,10 +136,14 @@ def _resolve_class_path(name: str, error_prefix: str) -> str:
     )
 
 
+@cache
+def _installed() -> EntryPoints:
+    return entry_points(group=BACKENDS)  # reads the records of every package that is installed
+
+
 def _announced() -> list[EntryPoint]:
-    return sorted(
-        entry_points(group=BACKENDS), key=lambda entry: not entry.value.startswith(tuple(_own_packages()))
-    )
+    own = tuple(_own_packages())
+    return sorted(_installed(), key=lambda entry: not entry.value.startswith(own))
 
 
 def _own_packages() -> list[str]:
@@ -157,4 +162,4 @@ def _is_allowed(module: str, class_path: str) -> bool:
     allowed = (*_own_packages(), *os.environ.get(ALLOWED, "").split(","))
     if any(package and (module == package or module.startswith(f"{package}.")) for package in allowed):
         return True
-    return any(entry.value == class_path for entry in entry_points(group=BACKENDS))
+    return any(entry.value == class_path for entry in _installed())

@@ -11,15 +11,15 @@ from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.characterisation import Characterisation, DistortionModel, Observation, characterise, judge
 from fpplab.characterisation.correction import correct
 from fpplab.core.errors import CalibrationError
-from tests.characterisation.test_judging import BENT, NOISE_PX, seen
+from tests.characterisation.test_judging import BENT, NOISE_PX, of_nine_poses
 from tests.support.rigs import BOARD, CAMERA, PAIR, SQUARE, poses
 
 TRUE = Calibration(CAMERA, SQUARE, PAIR, {})
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def found() -> Characterisation:
-    return characterise(seen(9, 1), BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.K3)
+    return of_nine_poses()
 
 
 def seen_by(rig: Calibration, count: int, seed: int) -> list[Observation]:

@@ -1,6 +1,7 @@
 """Judging a calibration by poses that it was not fitted to, and putting its uncertainty to the test."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,14 @@ def seen(count: int, seed: int) -> list[Observation]:
     return observed(poses(count, seed=seed), noise_px=NOISE_PX, points=BENT, seed=seed)
 
 
-@pytest.fixture(scope="module")
-def found() -> Characterisation:
+@cache
+def of_nine_poses() -> Characterisation:
     return characterise(seen(9, 1), BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.K3)
+
+
+@pytest.fixture
+def found() -> Characterisation:
+    return of_nine_poses()
 
 
 def test_errors_in_other_poses_are_those_predicted(found: Characterisation) -> None:

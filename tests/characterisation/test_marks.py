@@ -9,7 +9,7 @@ from fpplab.calibration.board import LocatedMarks
 from fpplab.calibration.changes import changed_rigs, parameter_vector
 from fpplab.calibration.displacements import calibration_jacobian, displacements_by_mode
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation import DistortionModel, Observation, characterise
+from fpplab.characterisation import Observation
 from fpplab.characterisation.marks import compare_marks, triangulate_marks
 from fpplab.core import config
 from fpplab.core.conventions import Floats
@@ -17,8 +17,8 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 from fpplab.pipeline.marks import widened_by_marks
 from fpplab.targets import Target
-from tests.characterisation.test_judging import NOISE_PX, seen
-from tests.support.rigs import BOARD, CAMERA, PAIR, SQUARE
+from tests.characterisation.test_judging import NOISE_PX, of_nine_poses
+from tests.support.rigs import CAMERA, PAIR, SQUARE
 
 TRUE = Calibration(CAMERA, SQUARE, PAIR, {})
 TARGET = Target.load("target_marks")
@@ -40,9 +40,9 @@ def marks_seen(
     return Observation("scan", np.arange(len(points)), camera + off[0], light + off[1])
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def calibration() -> Calibration:
-    return characterise(seen(9, 1), BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.K3).calibration
+    return of_nine_poses().calibration
 
 
 @pytest.fixture(scope="module")

@@ -227,7 +227,7 @@ def test_a_display_measures_by_gray_orders_and_by_two_periods(captures: Path) ->
     """A translucent part: Gray code of cells of 100 px with inverses, three steps of 66.67 and 100 px."""
     folder, size = captures.parent / "phase-shifting" / "object1", (1920, 1080)
     read = (cv2.imread(str(folder / f"{k:02d}.png"), cv2.IMREAD_GRAYSCALE) for k in range(32))
-    frames = [np.ascontiguousarray(frame[300:900, 450:1450]) for frame in read]  # most of the part
+    frames = [np.ascontiguousarray(frame[500:700, 700:1200]) for frame in read]  # amid the part
     coordinates = []
     for periods in ((66.67, 100.0), (100.0,)):
         sets: list[dict[str, object]] = []
@@ -246,5 +246,5 @@ def test_a_display_measures_by_gray_orders_and_by_two_periods(captures: Path) ->
         coordinates.append((decoded.u, decoded.v))
     for two, one in zip(*coordinates, strict=True):
         both = np.isfinite(two) & np.isfinite(one)
-        assert both.sum() > 250_000
+        assert both.sum() > 60_000
         assert np.mean(np.abs(two - one)[both] < 50.0) > 0.999

@@ -45,7 +45,7 @@ def test_one_that_the_user_allows(foreign: Path, allowed: str, monkeypatch: pyte
 
 def test_one_that_an_installed_package_announces(foreign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entry = EntryPoint("lamp", "foreign_optics:Lamp", "fpplab.backends")
-    monkeypatch.setattr(backends, "entry_points", lambda group: [entry] if group == entry.group else [])
+    monkeypatch.setattr(backends, "_installed", lambda: [entry])
     assert load_backend("foreign_optics:Lamp", "rig.yaml", "camera").__name__ == "Lamp"
     with pytest.raises(ConfigError, match="foreign_optics announces Lamp as a backend, not Other"):
         load_backend("foreign_optics:Other", "rig.yaml", "camera")
@@ -111,7 +111,7 @@ def test_an_unknown_name_is_answered_with_the_one_that_was_meant() -> None:
 
 def test_fpplabs_own_names_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
     entries = [EntryPoint("operator", place, "fpplab.backends") for place in ("abc:X", OPERATOR)]
-    monkeypatch.setattr(backends, "entry_points", lambda group: entries)
+    monkeypatch.setattr(backends, "_installed", lambda: entries)
     assert load_backend("operator", "rig.yaml", "fixture").__name__ == "Operator"
 
 

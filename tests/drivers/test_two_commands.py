@@ -1,10 +1,7 @@
 """A display projector and a video camera: characterised by one command, and a card measured by another."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -22,6 +19,7 @@ from sim.items import item_poses
 from sim.world import World
 from tests.drivers.screen_scene import DISPLAY_PX, write_scene
 from tests.drivers.x_screen import ScreenAndVideoBench
+from tests.support.commands import run
 
 pytestmark = [
     pytest.mark.whole,
@@ -31,17 +29,9 @@ pytestmark = [
 
 def fpplab(folder: Path, *words: str) -> dict[str, Any]:
     """What a command answers, in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, "-m", "fpplab", *words, "--json"],
-        cwd=folder,
-        env=os.environ | {"FPPLAB_ALLOW_BACKEND": "tests"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    answer: dict[str, Any] = json.loads(done.stdout)
-    return answer
+    done = run(*words, "--json", cwd=folder)
+    assert done.code == 0, done.err
+    return done.json
 
 
 def rms_from_true_card_mm(points: Floats, world: World) -> float:

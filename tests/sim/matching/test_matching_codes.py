@@ -28,6 +28,7 @@ MICRO = [
     )
 ]  # fmt: skip
 PLANS: dict[str, dict[str, Any]] = {
+    "exposures": {"fringes": FRINGES, "exposures_s": [0.01, 0.04]},
     "gray": {
         "fringes": [
             {"kind": "gray", "axis": "x", "bits": 8, "cell_px": 2},
@@ -45,7 +46,6 @@ PLANS: dict[str, dict[str, Any]] = {
         ]
     },
     "micro": {"fringes": MICRO},
-    "exposures": {"fringes": FRINGES, "exposures_s": [0.01, 0.04]},
 }
 
 
@@ -76,6 +76,7 @@ def check(result: MatchingResult, white: float = 0.85) -> None:
     assert now.calibration.baseline_mm == pytest.approx(150.0, rel=2e-3)
 
 
+@pytest.mark.whole_after(0, nightly=2)
 @pytest.mark.parametrize("kind", PLANS)
 def test_a_twin_is_matched_to_recordings_of_other_plans(kind: str, tmp_path: Path) -> None:
     check(matched(tmp_path, plan_of(PLANS[kind])))
