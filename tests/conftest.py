@@ -19,6 +19,7 @@ from hypothesis import settings
 from fpplab.core import foreign
 from fpplab.core.files import open_regular
 from tests.support.commands import ROOT, Command, Demo, ready_program, run
+from tests.support.ready_program import reuse_commands
 
 if TYPE_CHECKING:
     from sim.worker import Blender
@@ -37,6 +38,7 @@ os.environ["FPPLAB_ALLOW_BACKEND"] = ",".join(
 )
 
 ready_program()  # knows this environment as the suite's
+reuse_commands()
 
 # The suite gives the same answer twice. To look for new counterexamples: FPPLAB_EXPLORE=1.
 settings.register_profile("same", derandomize=True, deadline=None)

@@ -13,6 +13,7 @@ import hashlib
 from collections.abc import Sequence
 from typing import Annotated
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -27,7 +28,7 @@ def shown_image(pattern: Pattern) -> NDArray[np.uint8]:
     """Compute the grey levels that the mirrors show of a pattern at its bit depth."""
     # returns (height, width)
     levels = quantise(np.arange(256) / 255.0, pattern.bit_depth)
-    return np.asarray(levels[pattern.image], np.uint8)
+    return np.asarray(cv2.LUT(np.ascontiguousarray(pattern.image), levels), np.uint8)
 
 
 def index_checksum(image: NDArray[np.uint8]) -> str:

@@ -18,8 +18,13 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
+
+import typer
+import typer.main
+import typer.testing
 
 UNKNOWN_SHELL = "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"
 """Variable that gives the commands other options."""
@@ -42,6 +47,18 @@ READ_LATE = {
 NOT_LOADED = ("fpplab.__main__", "fpplab.viewer.process", "sim.warmup")
 """Programs of their own."""
 LONGEST_REQUEST = 1 << 20
+
+
+def reuse_commands() -> None:
+    """Have a program's commands built from their functions once, which takes fpplab's a tenth of a second."""
+    build = typer.main.get_command
+    built = cache(build)
+
+    def command_of(program: typer.Typer) -> Any:
+        return (build if UNKNOWN_SHELL in os.environ else built)(program)
+
+    for module, name in ((typer.main, "get_command"), (typer.testing, "_get_command")):
+        setattr(module, name, command_of)
 
 
 class ReadyProgram:
@@ -137,20 +154,6 @@ def _prepare_numba() -> None:
     cpu_target.target_context.refresh()
 
 
-def _build_commands() -> None:
-    """Build all commands from their functions, which takes every new process a quarter of a second."""
-    from typer import main as typer_main
-
-    from fpplab.cli import app
-
-    build, built = typer_main.get_command, typer_main.get_command(app)
-
-    def command_of(program: Any) -> Any:
-        return built if program is app and UNKNOWN_SHELL not in os.environ else build(program)
-
-    typer_main.get_command = command_of
-
-
 def _serve(connection: socket.socket) -> None:
     """Fork for each request and answer with the exit code; returns in the forked process alone."""
     while True:
@@ -187,7 +190,8 @@ def main() -> None:
     for name in _modules():
         importlib.import_module(name)
     _prepare_numba()
-    _build_commands()
+    reuse_commands()
+    typer.main.get_command(importlib.import_module("fpplab.cli").app)
     from fpplab.__main__ import main as program
 
     # What the command spawns asks the main module for its name, and does not run it again if it is fpplab's.
