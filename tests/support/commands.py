@@ -1,5 +1,6 @@
 """Whole commands, run as a user runs them."""
 
+import atexit
 import json
 import os
 import subprocess
@@ -40,7 +41,9 @@ Command = Callable[..., Outcome]
 @cache
 def ready_program() -> ReadyProgram:
     """The process that commands are forked from, with the environment of the first call."""
-    return ReadyProgram(ROOT)
+    ready = ReadyProgram(ROOT)
+    atexit.register(ready.close)
+    return ready
 
 
 def run(*words: object, cwd: Path | None = None, env: dict[str, str] | None = None) -> Outcome:
