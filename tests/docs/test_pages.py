@@ -20,7 +20,7 @@ from docs.generate.pages import (
     fits,
 )
 from docs.generate.reference import every_command
-from docs.generate.running import run_once
+from docs.generate.running import invoke, run_once
 from fpplab.cli import app
 
 pytestmark = pytest.mark.timeout(1800)  # pages are run as they stand, some for minutes
@@ -54,6 +54,24 @@ def has_code(page: Path) -> bool:
 def test_each_page_does_what_it_shows(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "Agg")
     run_once(page)
+
+
+@pytest.mark.nightly
+def test_the_start_of_the_readme_runs_on_the_simulated_rig(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its five commands, and its Python on what they leave."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    parts = [block.text for block in blocks(ROOT / "README.md")]
+    commands = [line.partition("  #")[0] for part in parts for line in part.splitlines()]
+    run = [line.replace("rig.yaml", "rig_demo_quick") for line in commands if line.startswith("fpplab ")]
+    assert len(run) == 5
+    for line in run:
+        code, _, err = invoke(shlex.split(line)[1:])
+        assert code == 0, (line, err)
+    (example,) = [part for part in parts if "import Calibration" in part]
+    exec(example, {})
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix())
