@@ -289,11 +289,11 @@ def _run_kernel(
     recipe: Recipe, dtype: np.dtype[np.generic], pixels: int, maps: Maps, progress: Progress
 ) -> float:
     """The kernel on all processors, block by block; the greatest raw value met."""
-    like, highest = np.empty(0, dtype), 0.0
+    highest = 0.0
     pool = ThreadPoolExecutor(processors())
     try:
         blocks = [
-            pool.submit(decode_pixels, recipe, like, start, min(start + _BLOCK, pixels), maps)
+            pool.submit(decode_pixels, recipe, dtype.itemsize, start, min(start + _BLOCK, pixels), maps)
             for start in range(0, pixels, _BLOCK)
         ]
         for done, block in enumerate(as_completed(blocks), start=1):

@@ -22,6 +22,7 @@ from fpplab.phase.saturation import fit_unsaturated
 from fpplab.phase.tables import Maps, Recipe
 from fpplab.phase.wrong_order import TO_EXPLAIN, UNEXPLAINED, settle_orders
 
+_BYTES, _WORDS = np.empty(0, np.uint8), np.empty(0, np.uint16)  # types of pixels
 GROUP = 4  # frames summed per visit of a chunk (chosen); every set's list of frames is padded to a multiple
 
 
@@ -257,7 +258,7 @@ def _count_saturated(accumulators: Any, pixel_count: int, full_scale: Any) -> An
 
 @compiled_part
 def _refit_saturated(
-    accumulators: Any, at: int, pixel_count: int, s: int, like: Any, recipe: Any, loss: Any, bent: Any
+    accumulators: Any, at: int, pixel_count: int, s: int, pixel_bytes: int, recipe: Any, loss: Any, bent: Any
 ) -> None:
     """Put least squares of the unsaturated samples in place of the sums of pixels with saturated ones."""
     first, last, full, grey = recipe.first[s], recipe.first[s + 1], recipe.full_scale, recipe.grey
@@ -270,7 +271,12 @@ def _refit_saturated(
             continue
         accumulators[i + _HIGHEST] = max(accumulators[i + _HIGHEST], accumulators[i + _PEAK])
         for k in range(count):
-            levels[k] = _f(_pixels(recipe.addresses[first + k], at + j, 1, like)[0])
+            address = recipe.addresses[first + k]
+            levels[k] = _f(
+                _pixels(address, at + j, 1, _BYTES)[0]
+                if pixel_bytes == 1
+                else _pixels(address, at + j, 1, _WORDS)[0]
+            )
         if fit_unsaturated(levels, cosine, sine, full, recipe.harmonics[s], fitted):
             offset, c, q = grey * fitted[0], grey * fitted[1], grey * fitted[2]
             rest = grey * grey * fitted[3]
@@ -314,9 +320,12 @@ def _choose_hypothesis(
 
 @compiled_part
 def _unwrap_axis(
-    axis: int, recipe: Any, rows: Any, turns: Any, weights: Any, good: Any, pixel_count: int
+    axis: int, recipe: Any, rows: Any, turns: Any, weights: Any, good: Any, at: int, pixel_count: int
 ) -> None:
     """Unwrap one axis to the position of its finest set."""
+    low, high = (recipe.low_u, recipe.high_u) if axis == 0 else (recipe.low_v, recipe.high_v)
+    _fill_position_limits(low, at, pixel_count, _ZERO, rows[LOW:])
+    _fill_position_limits(high, at, pixel_count, _ONE, rows[HIGH:])
     first, last = recipe.wavelengths[axis], recipe.wavelengths[axis + 1]
     _combined_phase(rows, turns, recipe.coefficients[first], pixel_count)
     _start_hypotheses(rows, pixel_count, recipe.stripes[first])
@@ -362,16 +371,17 @@ def _erase_invalid(values: Any, good: Any, pixel_count: int) -> None:
 
 
 @compiled_part
-def _add_doubtful(known: Any, good: Any, cause: Any, pixel_count: int) -> None:
-    """Where coordinates are known: where they are measured, and where the order alone is in doubt."""
-    for j in range(pixel_count):
-        i = _u(j)
-        known[i] = good[i] if cause[i] == 0 else _ONE
+def _add_frames(accumulators: Any, at: int, pixel_count: int, s: int, pixel_bytes: int, recipe: Any) -> None:
+    """Add all frames of a set to the sums of a chunk."""
+    if pixel_bytes == 1:
+        _add_frames_like(_BYTES, accumulators, at, pixel_count, s, recipe)
+    else:
+        _add_frames_like(_WORDS, accumulators, at, pixel_count, s, recipe)
 
 
 @compiled_part
-def _add_frames(accumulators: Any, at: int, pixel_count: int, s: int, like: Any, recipe: Any) -> None:
-    """Add all frames of a set to the sums of a chunk: eight at a time, and four that are left."""
+def _add_frames_like(like: Any, accumulators: Any, at: int, pixel_count: int, s: int, recipe: Any) -> None:
+    """Add frames eight at a time, and four that are left."""
     k, last = recipe.first[s], recipe.first[s + 1]
     while k + 8 <= last:
         frame = recipe.addresses[k : k + 8]
@@ -402,26 +412,41 @@ def _add_frames(accumulators: Any, at: int, pixel_count: int, s: int, like: Any,
         )
 
 
+@compiled_part
+def _fill_maps(
+    maps: Any, at: int, modulation: Any, sigma: Any, common: Any, good: Any, pixel_count: int
+) -> None:
+    """Enter what was measured of a chunk besides coordinates, and erase what was not."""
+    _copy(modulation, maps.modulation[at:], pixel_count)
+    _copy(sigma, maps.sigma[at:], pixel_count)
+    _copy(common, maps.phase_error[at:], pixel_count)
+    for j in range(pixel_count):
+        # Coordinates are known where they are measured, and where the order alone is in doubt.
+        sigma[_u(j)] = good[_u(j)] if maps.cause[_u(at + j)] == 0 else _ONE
+    known = sigma
+    for of_known in (maps.u, maps.v, maps.sigma):
+        if len(of_known) > 0:
+            _erase_invalid(of_known[at:], known, pixel_count)
+    for of_good in (maps.disagreement, maps.modulation, maps.phase_error):
+        _erase_invalid(of_good[at:], good, pixel_count)
+
+
 @compiled
-def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) -> Any:
+def decode_pixels(recipe: Recipe, pixel_bytes: int, start: int, stop: int, maps: Maps) -> Any:
     # Releases the interpreter's lock, so that threads may share a frame's pixels.
     sets = len(recipe.origin)
     accumulators, rows = np.zeros((_SUM_ROWS + 1) * ROW, np.float32), np.empty(_UNWRAP_ROWS * ROW, np.float32)
     fusion = np.empty(FUSION_ROWS * ROW, np.float32)
-    good, known, sigma = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
+    good, sigma, common = (
+        np.empty(CHUNK, np.float32),
+        np.empty(CHUNK, np.float32),
+        np.empty(CHUNK, np.float32),
+    )
     # Each set's offsets become its weights, once they are known.
-    turns, modulation, weights = (
-        np.empty((sets, ROW), np.float32),
-        np.empty((sets, ROW), np.float32),
-        np.empty((sets, ROW), np.float32),
-    )
-    shares, loss, bent, common, repeated = (
-        np.empty((sets, ROW), np.float32),
-        np.empty(CHUNK, np.float32),
-        np.empty(CHUNK, np.float32),
-        np.empty(CHUNK, np.float32),
-        np.zeros(CHUNK, np.float32),
-    )
+    turns, modulation = np.empty((sets, ROW), np.float32), np.empty((sets, ROW), np.float32)
+    weights, shares = np.empty((sets, ROW), np.float32), np.empty((sets, ROW), np.float32)
+    loss, bent = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
+    repeated = np.zeros(CHUNK, np.float32)
     for at in range(start, stop, CHUNK):
         pixel_count = min(CHUNK, stop - at)
         good[:] = _ONE
@@ -429,10 +454,10 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
         disagreement[:] = _ZERO
         for s in range(sets):
             accumulators[: _SUM_ROWS * ROW] = _ZERO
-            _add_frames(accumulators, at, pixel_count, s, like, recipe)
+            _add_frames(accumulators, at, pixel_count, s, pixel_bytes, recipe)
             loss[:], bent[:] = _ONE, recipe.error_constant[s]
             if _count_saturated(accumulators, pixel_count, recipe.full_scale) > _ZERO:
-                _refit_saturated(accumulators, at, pixel_count, s, like, recipe, loss, bent)
+                _refit_saturated(accumulators, at, pixel_count, s, pixel_bytes, recipe, loss, bent)
             _demodulate(accumulators, turns[s], modulation[s], weights[s], good, pixel_count, s, recipe)
             if recipe.rounding_repeats:
                 find_repeated(weights[s], repeated, recipe, pixel_count)
@@ -443,13 +468,7 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
             if finest >= 0:
                 # x comes last, so that its sigma is the one that stays.
                 out = maps.u[at : at + pixel_count] if axis == 0 else maps.v[at : at + pixel_count]
-                _fill_position_limits(
-                    recipe.low_u if axis == 0 else recipe.low_v, at, pixel_count, _ZERO, rows[LOW:]
-                )
-                _fill_position_limits(
-                    recipe.high_u if axis == 0 else recipe.high_v, at, pixel_count, _ONE, rows[HIGH:]
-                )
-                _unwrap_axis(axis, recipe, rows, turns, weights[finest], good, pixel_count)
+                _unwrap_axis(axis, recipe, rows, turns, weights[finest], good, at, pixel_count)
                 fused = (out, sigma, common, disagreement)
                 count = fuse_axis(axis, recipe, rows, fusion, turns, weights, shares, pixel_count, *fused)
                 freedom += count - 1
@@ -460,19 +479,8 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
                 doubt = maps.doubt_u if axis == 0 else maps.doubt_v
                 if len(doubt) > 0:
                     _copy(rows[_WORST:], doubt[at:], pixel_count)
-        _copy(modulation[recipe.reference], maps.modulation[at:], pixel_count)
-        _copy(sigma, maps.sigma[at:], pixel_count)
-        _copy(common, maps.phase_error[at:], pixel_count)
-        _add_doubtful(known, good, maps.cause[at : at + pixel_count], pixel_count)
-        if len(maps.u) > 0:
-            _erase_invalid(maps.u[at : at + pixel_count], known, pixel_count)
-        if len(maps.v) > 0:
-            _erase_invalid(maps.v[at : at + pixel_count], known, pixel_count)
-        _erase_invalid(maps.sigma[at : at + pixel_count], known, pixel_count)
         _reduced_root_of_chi2(disagreement, freedom, pixel_count)
-        _erase_invalid(disagreement, good, pixel_count)
-        _erase_invalid(maps.modulation[at : at + pixel_count], good, pixel_count)
-        _erase_invalid(maps.phase_error[at : at + pixel_count], good, pixel_count)
+        _fill_maps(maps, at, modulation[recipe.reference], sigma, common, good, pixel_count)
     return accumulators[_SUM_ROWS * ROW :].max()
 
 
