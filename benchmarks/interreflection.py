@@ -7,7 +7,7 @@ parallel to it and every row of the camera sees the same but for noise.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,6 +35,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase.fine_plan import fine_plan
 from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.pipeline.triangulating import triangulate_recording
+from tests.support.faulty_bench import Bench, healthy
 
 BOUNCES = 4
 CAMERA, ROWS, FOCAL_PX = 1368, 64, 35.0 / 0.0096
@@ -44,6 +45,11 @@ ELEMENTS, FINER, FINE = 400, 8, 16  # strips of a wall; samples of a pixel of ca
 OPTICS_PX = 0.5  # blur of the camera's lens
 DEPTH_MM = (430.0, 475.0)
 DRAWN = range(62_000, 62_006)
+WEAK, HEALTHY = range(62_100, 62_108), range(62_200, 62_224)
+WEAK_UNNAMED, WEAK_WITHIN = (
+    1.6,
+    1.5,
+)  # what is not named at most; cost said over the true one, and the inverse
 TIMES_FLATTER, WITHIN = 5.0, 1.3
 TWIN_SAMPLES, TWIN_MARGIN_PX = 256, 3
 
@@ -224,11 +230,58 @@ def usual_plans() -> dict[str, Plan]:
 
 
 def run() -> list[Result]:
-    """Measure grooves by radiosity, and one by the twin; five minutes on a quiet core."""
+    """Measure grooves by radiosity, and one by the twin; six minutes on a quiet core."""
     results = _figures("90_deg", Groove(reflectance=0.7, seed=61_999))
     for seed in DRAWN:
         results += _figures(f"seed_{seed}", drawn_groove(seed))
-    return [*results, *_of_twin()]
+    return [*results, *_of_weak_light(), *_of_twin()]
+
+
+def weak_groove(seed: int) -> Groove:
+    """Draw a groove whose walls light each other little."""
+    random = np.random.default_rng(seed)
+    return Groove(
+        angle_deg=random.uniform(70.0, 150.0),
+        reflectance=random.uniform(0.03, 0.5),
+        tilt_deg=random.uniform(-8.0, 8.0),
+        wall_mm=random.uniform(10.0, 40.0),
+        seed=seed,
+    )
+
+
+def _of_weak_light() -> Iterator[Result]:
+    """Compare what is said to cost with what it costs, and count what is said of walls that stay dark."""
+    costs, unnamed, false, dark = list[float](), [1.0], 0, 0
+    for seed in WEAK:
+        for plan in usual_plans().values():
+            groove = weak_groove(seed)
+            cloud, judged = scanned_groove(groove, plan)
+            over = measured_flatness(groove, cloud).over_stated
+            local = [f for f in judged.findings if f.cause.key == "interreflection" and "costs" in f.evidence]
+            if local:
+                costs.append(float(np.hypot(1.0, local[0].excess)) / over)
+            elif not judged.findings:
+                unnamed.append(over)
+            false += bool(scanned_groove(replace(groove, bounces=0), plan)[1].findings)
+            dark += 1
+    yield below("weak_light_error_over_stated_where_nothing_is_said", max(unnamed), "", WEAK_UNNAMED)
+    if costs:
+        yield below("weak_light_cost_said_over_true", max(costs), "", WEAK_WITHIN)
+        yield above("weak_light_cost_said_over_true_at_least", min(costs), "", 1.0 / WEAK_WITHIN)
+    yield below("said_of_dark_walls", float(false), f"of {dark} scans", 1e-9)
+    healthy_benches = [healthy(seed) for seed in HEALTHY]
+    said = sum(_is_said_of(bench) for bench in healthy_benches)
+    yield below("said_of_healthy_benches", float(said), f"of {len(HEALTHY)} scans", 1e-9)
+
+
+def _is_said_of(bench: Bench) -> bool:
+    recording, calibration = bench.recording(), bench.calibration
+    decoded, cloud = triangulate_recording(recording, calibration, None, no_progress)
+    judged = cloud
+    if isinstance(cloud, Cloud):
+        judged = diagnose_scan(recording, decoded, cloud, calibration)
+    assert isinstance(judged, Diagnosis)
+    return any(finding.cause.key == "interreflection" for finding in judged.findings)
 
 
 def _figures(name: str, groove: Groove) -> list[Result]:

@@ -1,5 +1,7 @@
 """The groove of the benchmark of light between walls, and what is said of a scan of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,20 @@ def test_the_plan_offered_makes_the_walls_flatter() -> None:
     assert (usual.flat_um / fine.flat_um > 5.0).all()
     assert usual.over_stated > 2.0
     assert fine.over_stated < 1.25
+
+
+@pytest.mark.whole
+def test_weak_light_is_told_where_it_costs_more_than_is_stated() -> None:
+    groove = Groove(reflectance=0.15, angle_deg=75.0, seed=5)
+    cloud, diagnosis = scanned_groove(groove, usual_plans()["plan_scan"])
+    (finding,) = diagnosis.findings
+    assert finding.cause.key == "interreflection"
+    assert "wide and fine fringes contradict each other beyond noise" in finding.evidence
+    assert " µm, beside " in finding.evidence
+    true = measured_flatness(groove, cloud).over_stated
+    assert np.hypot(1.0, finding.excess) == pytest.approx(true, rel=0.3)
+    dark = replace(groove, bounces=0)
+    assert not scanned_groove(dark, usual_plans()["plan_scan"])[1].findings
 
 
 @pytest.mark.whole

@@ -1,24 +1,28 @@
 """Surfaces of the scene light each other (interreflection)."""
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import label, uniform_filter
 
 from fpplab.calibration.model import Calibration
 from fpplab.core.config import Positive
-from fpplab.core.conventions import Axis, Floats, Mask
+from fpplab.core.conventions import TWO_PI, Axis, Floats, Mask, axis_length
 from fpplab.core.errors import ConfigError
+from fpplab.core.robust import robust_spread
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import harmonics_of_power_law_rad, phase_deviations
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 from fpplab.diagnosis.points import DirectionLimits, changes_along_image
 from fpplab.diagnosis.sample import MEDIAN, FrameSample
+from fpplab.phase import Decoded
 from fpplab.phase.fine_plan import error_ratio, fine_plan
+from fpplab.phase.limits import FINE_PLAN
 
+BLOCK = 8  # side of the blocks in which neighbours are compared, in pixels of the sample (chosen)
 COAT = "coat or turn the part so that its faces do not light each other, or cover objects next "
 "to it"
 
@@ -31,6 +35,11 @@ class InterreflectionLimits(LimitsSection):
     captures of a real rig without such light reach 0.046."""
     min_known_share: ShareLimit = 0.5
     """Share of a block's pixels whose phase error is known. Chosen."""
+    min_region_sigmas: Positive = 4.0
+    """Deviation of a block of pixels from which it is beyond noise. Derived: of 1000 blocks noise reaches it
+    in 0.06."""
+    min_region_blocks: CountLimit = 4
+    """Blocks next to each other that are a region. Chosen: edges of a part have fewer."""
     max_mirrored_share: Positive = 0.03
     """Share of the image with fringes in which the coordinate runs backwards. Measured on benches."""
     min_directed_share: Positive = 0.25
@@ -50,10 +59,24 @@ class InterreflectionLimits(LimitsSection):
     benches the estimate was nearly always within a factor of two of the true error."""
 
 
+@dataclass(frozen=True)
+class _Region:
+    """Where wide fringes contradict fine ones, and what of that is in the coordinate of these."""
+
+    middle_px: tuple[int, int]  # column and row in the image
+    error_px: float  # RMS
+    stated_px: float  # RMS of the uncertainty that is stated there
+
+    @property
+    def excess(self) -> float:
+        return self.error_px / self.stated_px
+
+
 def _find_stray_light(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     """Light that arrives by way of other surfaces, with the phase of those."""
     sample = evidence.frames
-    worst = max((_stray_rad(sample, k, e, d) for k, e, d in phase_deviations(sample)), default=0.0)
+    shared = {k: _shared_deviations(sample, k, e, d) for k, e, d in phase_deviations(sample)}
+    worst = max(map(_stray_rad, shared.values()), default=0.0)
     # Flicker and harmonics of the finest set look the same.
     explained_rad = harmonics_of_power_law_rad(sample)
     limit = max(evidence.limits.of(InterreflectionLimits).max_phase_error_rad, 1.5 * explained_rad)
@@ -63,29 +86,89 @@ def _find_stray_light(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Find
             f"place (at most {limit:.2f}): part of the light comes by way of other surfaces"
         )
         yield Finding(INTERREFLECTION, text, worst / limit)
+    elif (region := _worst_region(evidence, shared)) is not None and region.excess > 1.0:
+        column, row = region.middle_px
+        text = (
+            f"about pixel {column}, {row} wide and fine fringes contradict each other beyond noise, as where "
+            f"light comes by way of other surfaces; it costs {_in_um(evidence, region.error_px)}, beside "
+            f"{_in_um(evidence, region.stated_px)} that are stated"
+        )
+        yield Finding(INTERREFLECTION, text, region.excess)
 
 
-def _stray_rad(sample: FrameSample, k: int, expected: Floats, deviation: Floats) -> float:
-    """RMS that neighbours share, without what a phase alone explains as harmonics and gains do."""
+def _worst_region(evidence: Evidence, shared: Mapping[int, Floats]) -> _Region | None:
+    """Find where light by way of other surfaces costs most beside what is stated, by the finest wide set."""
+    plan, decoded = evidence.frames.recording.plan, evidence.decoded
+    along = [k for k in shared if plan.fringes[k].axis == plan.axes[0]]
+    if decoded is None or not along:
+        return None
+    k = max(along, key=lambda k: plan.fringes[k].stripes)
+    regions = _regions(evidence.frames, decoded, k, shared[k])
+    return max(regions, key=lambda region: region.excess, default=None)
+
+
+def _in_um(evidence: Evidence, px: float) -> str:
+    if not evidence.has_points:
+        return f"{px:.3f} px of the projector"
+    return f"{1e3 * px / evidence.points.px_per_mm_of_depth['xy'.index(evidence.plan.axes[0])]:.1f} µm"
+
+
+def _stray_rad(halves: Floats) -> float:
+    """RMS that neighbours share: noise is independent in the medians of two halves, and edges are few."""
+    whole = np.isfinite(halves).all(axis=0)
+    if whole.sum() < 2 * BLOCK:
+        return 0.0
+    return math.sqrt(max(float(np.mean(np.prod(halves[:, whole], axis=0))), 0.0))
+
+
+def _shared_deviations(sample: FrameSample, k: int, expected: Floats, deviation: Floats) -> Floats:
+    """Median deviation of two halves of every block (2, rows, columns), without what the phase explains."""
+    # Harmonics and gains of frames repeat with the phase.
     finite = np.isfinite(deviation)
     orders = (0, 1, sample.recording.plan.fringes[k].images)
     waves = np.concatenate([[np.cos(m * expected[finite]), np.sin(m * expected[finite])] for m in orders])
     residuals = np.full(deviation.shape, np.nan)
     strengths = np.linalg.lstsq(waves.T, deviation[finite], rcond=1e-6)[0]
     residuals[finite] = deviation[finite] - strengths @ waves
-    side = 8  # of the blocks in which neighbours are compared, in pixels of the sample (chosen)
-    rows, columns = (n // side * side for n in residuals.shape)
-    blocks = residuals[:rows, :columns].reshape(rows // side, side, columns // side, side)
-    blocks = blocks.transpose(0, 2, 1, 3).reshape(-1, side * side)
-    halves = blocks[:, ::2], blocks[:, 1::2]
+    blocks = _in_blocks(residuals)
     # Where light of two surfaces is mixed, many pixels are masked.
     min_share = sample.limits.of(InterreflectionLimits).min_known_share
-    whole = np.logical_and(*(np.isfinite(half).mean(axis=1) >= min_share for half in halves))
-    if whole.sum() < 2 * side:
-        return 0.0
-    # Noise is independent in the medians of two halves, and edges are few.
-    halves = np.nanmedian(halves[0][whole], axis=1), np.nanmedian(halves[1][whole], axis=1)
-    return math.sqrt(max(float(np.mean(halves[0] * halves[1])), 0.0))
+    medians = np.full((2, *blocks.shape[:2]), np.nan)
+    for n in range(2):
+        half = blocks[..., n::2]
+        whole = np.isfinite(half).mean(axis=-1) >= min_share
+        medians[n][whole] = np.nanmedian(half[whole], axis=-1)
+    return medians
+
+
+def _in_blocks(values: Floats) -> Floats:
+    """Values (rows, columns) by square blocks, (block rows, block columns, pixels)."""
+    rows, columns = (n // BLOCK for n in values.shape)
+    blocks = values[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
+    return np.asarray(blocks.transpose(0, 2, 1, 3).reshape(rows, columns, -1))
+
+
+def _regions(sample: FrameSample, decoded: Decoded, k: int, halves: Floats) -> Iterator[_Region]:
+    limits, plan = sample.limits.of(InterreflectionLimits), sample.recording.plan
+    length = axis_length(sample.recording.projector_size, plan.fringes[k].axis)
+    periods = np.array([length / plan.fringes[n].stripes for n in (k, plan.finest_set(plan.fringes[k].axis))])
+    px_per_rad = periods[0] / TWO_PI * (periods[1] / periods[0]) ** FINE_PLAN.error_power
+    common = decoded.sigma_phase_error
+    total = decoded.sigma if common is None else np.hypot(decoded.sigma, common)
+    stated = _in_blocks(np.asarray(total[:: sample.step, :: sample.step], np.float64))
+    mean, known = halves.mean(axis=0), np.isfinite(halves).all(axis=0)
+    if known.sum() < 2 * BLOCK:
+        return
+    noise = robust_spread((halves[0] - halves[1])[known], 0.0) / 2.0
+    for sign in (-1.0, 1.0):
+        numbers, count = label(known & (sign * mean > limits.min_region_sigmas * noise), np.ones((3, 3)))
+        for n in range(1, count + 1):
+            own = numbers == n
+            if own.sum() >= limits.min_region_blocks:
+                row, column = np.mean(np.argwhere(own) + 0.5, axis=0) * BLOCK * sample.step
+                error_px = px_per_rad * math.sqrt(np.mean(mean[own] ** 2))
+                of_blocks = math.sqrt(np.nanmean(stated[own] ** 2))
+                yield _Region((round(column), round(row)), error_px, of_blocks)
 
 
 def _find_mirrors(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Finding]:
@@ -197,9 +280,10 @@ INTERREFLECTION = FaultCause(
     meaning="Surfaces of the scene light each other (interreflection).",
     remedy=f"{COAT}, or scan with fine fringes alone, of a plan that `fpplab plan fine` writes",
     measured="difference in phase between wide and fine fringes that neighbours share and no "
-    "phase-dependent error explains; fraction of the image in which the coordinate runs "
+    "phase-dependent error explains, over the image, and in a region the error of the fine ones that "
+    "follows from it; fraction of the image in which the coordinate runs "
     "opposite to the calibration, as in a mirror image",
-    limit=f"{InterreflectionLimits().max_phase_error_rad:g} rad RMS; "
+    limit=f"{InterreflectionLimits().max_phase_error_rad:g} rad RMS; the uncertainty stated in a region; "
     f"{100 * InterreflectionLimits().max_mirrored_share:g} %",
     seen_in="coordinates",
     detectors=(
