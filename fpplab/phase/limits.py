@@ -344,6 +344,9 @@ class PartMotionLimits(NamedTuple):
     block_pixels: int = 50_000  # pixels that are followed at a time (chosen: 100 MB)
     max_noise_ratio: float = 10.0
     """Greatest increase of a coordinate's noise by uneven steps. Chosen: beyond it frames do not allow it."""
+    min_followed_share: float = 0.5
+    """Least share of what moves that must follow a displacement. Chosen: the rest may be places that the part
+    passed by, but no more than the part itself covers."""
     min_points_share: float = 0.7
     """Least share of a compensated part's lit pixels that become points of one surface. Chosen: of a part at
     rest nearly all do, half or less where a wrong displacement or very uneven steps scatter the orders."""

@@ -73,7 +73,7 @@ def compensate_motion(recording: Recording, calibration: Calibration) -> Recordi
             break
     depth = _depth(_as_at_rest(follower, regions), calibration, rough=False)
     measured = np.zeros(follower.depth.shape, np.bool_) if depth is None else depth[1]
-    return _as_at_rest(follower, [replace(region, measured=measured) for region in regions])
+    return _as_at_rest(follower, [replace(each, measured=measured & each.is_followed) for each in regions])
 
 
 def _shares(recording: Recording) -> Floats:
@@ -133,6 +133,13 @@ class _Tiles:
         corners = np.stack([rows[at[:, 0]], columns[at[:, 1]]], axis=1)
         return cls(corners, groups[moves], rates, powers[moves], variance)
 
+    def mask(self, group: int, shape: tuple[int, ...]) -> Mask:
+        """All pixels of a group's tiles."""
+        mask = np.zeros(shape, np.bool_)
+        for row, column in self.corners[self.groups == group]:
+            mask[row : row + MOTION.tile_px, column : column + MOTION.tile_px] = True
+        return mask
+
     def pixels(self, group: int, most: int) -> Pixels:
         """Some pixels of a group, (P, 2) row and column."""
         inner = np.indices((MOTION.tile_px, MOTION.tile_px)).reshape(2, -1).T
@@ -191,8 +198,10 @@ class _Follower:
 
     @property
     def freedom(self) -> int:
-        """How many combinations of a pixel's levels sinusoids leave."""
-        return sum(max(fringe.images - 3, 0) for fringe in self.recording.plan.fringes)
+        """How many combinations of a pixel's levels sinusoids of one offset leave."""
+        fringes = self.recording.plan.fringes
+        offsets = sum(fringe.stripes >= COMMON_ERRORS.min_stripes for fringe in fringes)
+        return sum(max(fringe.images - 3, 0) for fringe in fringes) + max(offsets - 1, 0)
 
     @cached_property
     def shares(self) -> Floats:
@@ -243,7 +252,10 @@ class _Follower:
                 offsets.append(fitted[:1])
         if len(offsets) > 1:
             mean = np.mean(offsets, axis=0)
-            residuals += [_without_gains(each - mean, mean) for each in offsets]
+            for each in offsets:
+                # Most pixels tell how much brighter a set is, and not those that the part passed by.
+                gain = float(np.median(each / np.maximum(mean, 1e-9))) if gains else 1.0
+                residuals.append(each - gain * mean)
         return np.concatenate(residuals) / self.noise
 
 
@@ -271,7 +283,20 @@ class _Region:
     mask: Mask  # its pixels
     swept: Mask  # those nearby that neither follow it nor stand still
     residual_ratio: float  # mean square of what it leaves, typically, over that of noise
-    measured: Mask | None = None  # pixels of the image that became points of a surface once compensated
+    moving: Mask  # pixels of tiles that move
+    measured: Mask | None = (
+        None  # pixels that became points of a surface once compensated, when that is known
+    )
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether what moves follows the displacement, and not a small part of it alone."""
+        return bool(self.mask[self.moving].mean() >= MOTION.min_followed_share)
+
+    @property
+    def judged(self) -> _Region:
+        """With all that moves where most of it does not follow."""
+        return self if self.is_followed else replace(self, mask=self.mask | self.moving)
 
 
 def _regions(follower: _Follower, tiles: _Tiles) -> list[_Region]:
@@ -285,28 +310,33 @@ def _regions(follower: _Follower, tiles: _Tiles) -> list[_Region]:
         costs = [_cost(follower, trial, few) for trial in trials]
         best = [_minimum(follower, trials[k], few)[0] for k in np.argsort(costs)[: MOTION.refined_trials]]
         start = min(best, key=lambda m: (not _runs_forward(follower, m, few), _cost(follower, m, few)))
-        region = _region(follower, start, seeds, taken, MOTION.window_px)
-        if region.mask.any() and _is_even(follower, region.moved, np.argwhere(region.mask)):
+        moving = tiles.mask(group, taken.shape) & ~taken
+        region = _region(follower, start, seeds, taken, MOTION.window_px, moving)
+        if _is_even(follower, region.moved, np.argwhere(region.judged.mask)):
             regions.append(region)
-            taken |= region.mask
+            taken |= region.judged.mask
     return regions
 
 
 def _refitted(follower: _Follower, region: _Region) -> _Region:
     """Fit a part once more by its inner pixels."""
-    inner = np.argwhere(binary_erosion(region.mask, np.ones((MOTION.window_px, MOTION.window_px))))
-    seeds = np.random.default_rng(0).permutation(inner if len(inner) else np.argwhere(region.mask))
-    return _region(follower, region.moved, seeds[: MOTION.fitted_pixels], np.zeros_like(region.mask), 3)
+    mask = region.judged.mask
+    inner = np.argwhere(binary_erosion(mask, np.ones((MOTION.window_px, MOTION.window_px))))
+    seeds = np.random.default_rng(0).permutation(inner if len(inner) else np.argwhere(mask))
+    seeds = seeds[: MOTION.fitted_pixels]
+    return _region(follower, region.moved, seeds, np.zeros_like(mask), 3, region.moving)
 
 
-def _region(follower: _Follower, start: Floats, seeds: Pixels, taken: Mask, window_px: int) -> _Region:
+def _region(
+    follower: _Follower, start: Floats, seeds: Pixels, taken: Mask, window_px: int, moving: Mask
+) -> _Region:
     """Refine a displacement by pixels that follow it, and tell which pixels do."""
     power = np.square(follower.residuals(seeds, start)).sum(axis=0)
     seeds = seeds[power <= MOTION.outlier_ratio * np.median(power)]
     moved, covariance = _minimum(follower, start, seeds)
     residual = np.median(np.square(follower.residuals(seeds, moved)).sum(axis=0)) / follower.freedom
     mask, swept = _part(follower, seeds, moved, window_px)
-    return _Region(moved, covariance, mask & ~taken, swept, float(residual))
+    return _Region(moved, covariance, mask & ~taken, swept, float(residual), moving)
 
 
 def _is_even(follower: _Follower, moved: Floats, pixels: Pixels) -> bool:
@@ -469,6 +499,7 @@ def _as_at_rest(follower: _Follower, regions: Sequence[_Region]) -> Recording:
     frames = [frame.copy() for frame in recording.frames]
     noise, left = np.ones(follower.depth.shape, np.float32), np.zeros(follower.depth.shape, np.float32)
     parts, passed = list[PartMotion](), np.zeros(noise.shape, np.bool_)
+    regions = [region.judged for region in regions]
     for region in regions:
         part, ratio = _part_motion(follower, region)
         parts.append(part)
@@ -529,14 +560,15 @@ def _part_motion(follower: _Follower, region: _Region) -> tuple[PartMotion, Floa
         len(pixels),
         to_px * float(np.sqrt(np.mean(off**2))),
         to_px * float(left),
-        bool(np.median(ratio) <= MOTION.max_noise_ratio and region.residual_ratio <= MOTION.max_rest_ratio)
-        and _tells_orders(region, pixels[modulation * follower.recording.grey >= plan.masks.modulation_min]),
+        _is_sound(region, ratio, pixels[modulation * follower.recording.grey >= plan.masks.modulation_min]),
     )
     return part, ratio
 
 
-def _tells_orders(region: _Region, lit: Pixels) -> bool:
-    """Whether the sets of a compensated part tell its orders; of wrong or very noisy sets they scatter."""
-    if region.measured is None or not len(lit):
+def _is_sound(region: _Region, noise_ratio: Floats, lit: Pixels) -> bool:
+    """Whether frames allow a compensation; of wrong or very noisy sets orders scatter."""
+    if region.measured is None:  # while it is being looked for
         return True
-    return bool(region.measured[tuple(lit.T)].mean() >= MOTION.min_points_share)
+    if np.median(noise_ratio) > MOTION.max_noise_ratio or region.residual_ratio > MOTION.max_rest_ratio:
+        return False
+    return not len(lit) or bool(region.measured[tuple(lit.T)].mean() >= MOTION.min_points_share)

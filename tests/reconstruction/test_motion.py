@@ -63,11 +63,33 @@ def test_a_part_whose_orders_scatter_is_not_compensated() -> None:
     points, _, part = scene.surface(scene.middle)
     part[:110] = part[130:] = False
     follower = _Follower(scene.recording(), scene.rig, points[..., 2], 1.0)
-    region = _Region(np.array(scene.moved_mm), 1e-6 * np.eye(3), part, np.zeros_like(part), 1.0)
+    region = _Region(np.array(scene.moved_mm), 1e-6 * np.eye(3), part, np.zeros_like(part), 1.0, part)
     for share, is_compensated in ((0.95, True), (0.5, False)):
         measured_pixels = np.random.default_rng(SEED).random(part.shape) < share
         motion, _ = _part_motion(follower, replace(region, measured=measured_pixels))
         assert motion.is_compensated == is_compensated
+
+
+def test_a_part_of_which_little_follows_is_not_compensated() -> None:
+    moving = np.zeros((8, 8), np.bool_)
+    moving[2:6] = True
+    for rows, is_followed in ((3, True), (1, False)):
+        mask = np.zeros_like(moving)
+        mask[2 : 2 + rows] = True
+        region = _Region(np.zeros(3), np.eye(3), mask, mask, 1.0, moving)
+        assert region.is_followed == is_followed
+        assert region.judged.mask.sum() == (8 * rows if is_followed else moving.sum())
+
+
+def test_pixels_that_a_part_passes_by_do_not_spoil_its_own() -> None:
+    scene = MovingScene(FOUR_STEPS, (0.0, 0.0, 2.0 * period_mm(FOUR_STEPS, UPWARDS)), SEED)
+    points, _, part = scene.surface(scene.middle)
+    follower = _Follower(scene.recording(), scene.rig, points[..., 2], 1.0)
+    every, moved = np.argwhere(np.ones_like(part)), np.array(scene.moved_mm)
+    together = follower.residuals(every, moved, gains=False)[:, part.ravel()]
+    alone = follower.residuals(np.argwhere(part), moved, gains=False)
+    ratio = np.median(np.square(together).sum(axis=0)) / np.median(np.square(alone).sum(axis=0))
+    assert ratio == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.whole
