@@ -49,7 +49,8 @@ def test_an_environment_that_modules_may_have_read_needs_a_process_of_its_own() 
 def test_what_libraries_set_while_they_are_loaded_costs_no_process() -> None:
     code = (
         "import os, pathlib; from tests.support.ready_program import ReadyProgram; "
-        "ready = ReadyProgram(pathlib.Path('.')); import cv2, pypylon.pylon, rerun, threadpoolctl, trimesh; "
+        "ready = ReadyProgram(pathlib.Path('.')); "
+        "import cv2, pypylon.pylon, rerun, sdl2, threadpoolctl, trimesh; "
         "assert os.environ['LD_LIBRARY_PATH']; raise SystemExit(0 if ready.fits(dict(os.environ)) else 1)"
     )
     bare = {name: value for name, value in os.environ.items() if name != "LD_LIBRARY_PATH"}

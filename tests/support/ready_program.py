@@ -37,13 +37,14 @@ READ_LATE = {
     "KMP_DUPLICATE_LIB_OK",
     "LD_LIBRARY_PATH",
     "PYLON_CAMEMU",
+    "PYSDL2_DLL_PATH",
     "PYTEST_CURRENT_TEST",
     "WAYLAND_DISPLAY",
     "XDG_CACHE_HOME",
     "_FPPLAB_COMPLETE",
     UNKNOWN_SHELL,
 }
-"""Variables that no module reads while it is loaded, or that OpenCV and others set then."""
+"""Variables that no module reads while it is loaded, or that OpenCV, SDL and others set then."""
 NOT_LOADED = ("fpplab.__main__", "fpplab.viewer.process", "sim.warmup")
 """Programs of their own."""
 LONGEST_REQUEST = 1 << 20
