@@ -3,6 +3,7 @@
 import os
 import platform
 import re
+from functools import cache
 from importlib import metadata
 from typing import Any
 
@@ -39,6 +40,7 @@ def extra_by_package() -> dict[str, str]:
     return extras
 
 
+@cache
 def package_version(distribution: str) -> str | None:
     try:
         return metadata.version(distribution)
