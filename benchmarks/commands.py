@@ -17,7 +17,7 @@ from typing import Any
 import typer
 
 from benchmarks import Result, below
-from fpplab.cli import app
+from fpplab.cli.every import app
 
 HELP_S, START_S = 0.3, 0.6
 MAX_S = 60.0  # after which a command that ought to refuse is ended

@@ -12,8 +12,8 @@ from pydantic import BaseModel
 import fpplab
 from docs.generate.pages import DOCS
 from fpplab.calibration.model import CalibrationFile
-from fpplab.cli import app
 from fpplab.cli.app import RARE
+from fpplab.cli.every import app
 from fpplab.comparison.acceptance.standard import Standard
 from fpplab.devices.rig import RigFile
 from fpplab.optimisation.study import Study

@@ -9,6 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import INSTRUMENTS, Commands, Force, Json
+from fpplab.cli.completion import existing_file
 
 if TYPE_CHECKING:
     from drivers.basler.camera import CameraAsLeft
@@ -50,7 +51,13 @@ def save_settings(
 
 
 @camera.command("load")
-def load_settings(file: SettingsFile, serial: CameraSerialOption = None, json: Json = False) -> None:
+def load_settings(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Settings file (.pfs).", callback=existing_file)
+    ],
+    serial: CameraSerialOption = None,
+    json: Json = False,
+) -> None:
     """Load a .pfs file into a camera; the settings last until it is switched off.
 
     A file that does not fit the camera is refused; settings before the error may already have been applied.

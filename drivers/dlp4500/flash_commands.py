@@ -9,7 +9,7 @@ import typer
 from drivers.dlp4500.bench_commands import NAME, EchoOption, ProjectorSerialOption, connect_projector, dlp4500
 from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import existing_config, existing_file, names_of
 from fpplab.core.confirmation import ConfirmationRequired, can_confirm, confirm, how_to_confirm
 from fpplab.core.errors import Cancelled, ConfigError
 
@@ -19,7 +19,10 @@ def build(
     plan: Annotated[
         str,
         typer.Argument(
-            metavar="PLAN", help="Plan file with the patterns to store.", autocompletion=names_of("plan")
+            metavar="PLAN",
+            help="Plan file with the patterns to store.",
+            autocompletion=names_of("plan"),
+            callback=existing_config("plan"),
         ),
     ],
     base: Annotated[
@@ -81,7 +84,10 @@ def _holds(file: Path, text: str) -> bool:
 
 @dlp4500.command()
 def upload(
-    firmware: Annotated[Path, typer.Argument(metavar="FIRMWARE", help="Written by `fpplab dlp4500 build`.")],
+    firmware: Annotated[
+        Path,
+        typer.Argument(metavar="FIRMWARE", help="Written by `fpplab dlp4500 build`.", callback=existing_file),
+    ],
     serial: ProjectorSerialOption = None,
     echo: EchoOption = True,
     yes: Annotated[

@@ -1,31 +1,31 @@
 """The command line: every file of `fpplab.cli.commands` is a command; drivers and twin bring their own.
 
-Heavy modules are imported where they are used, so that `--help` is at once.
+Only the command that is named is loaded, and heavy modules are imported where they are used.
 """
 
 import sys
 from functools import partial
 from importlib import import_module
-from pkgutil import iter_modules
+from importlib.util import find_spec
 
-from fpplab.cli import commands, console
-from fpplab.cli.app import TWIN, app, arrange_commands, is_single_command
-from fpplab.core import plugins
-
-for _module in iter_modules(commands.__path__):
-    import_module(f"{commands.__name__}.{_module.name}")
-for _name in plugins.plugin_names(plugins.COMMANDS):
-    _program = plugins.load_plugin(plugins.COMMANDS, _name)
-    if is_single_command(_program):
-        app.registered_commands.extend(_program.registered_commands)
-    else:
-        app.add_typer(_program, name=_name, rich_help_panel=TWIN)
-arrange_commands()
+from fpplab.cli import console
+from fpplab.cli.app import app, leave_out_parameters
+from fpplab.cli.lists import split_global
 
 
 def main() -> None:
     """Run the command that `sys.argv` names and leave with its exit code."""
-    console.run_program(partial(app, prog_name="fpplab"), as_json="--json" in sys.argv)
+    console.run_program(partial(_run, sys.argv[1:]), as_json="--json" in sys.argv)
 
 
-__all__ = ["app", "main"]
+def _run(arguments: list[str]) -> None:
+    command = next(iter(split_global(arguments)[1]), "--help")
+    name = command.replace("-", "_")
+    modules = [f"{__name__}.commands.{each}" for each in (name, f"{name}_") if each.isidentifier()]
+    import_module(next((each for each in modules if find_spec(each)), f"{__name__}.every"))
+    if command in ("--help", "-h"):
+        leave_out_parameters()
+    app(prog_name="fpplab")
+
+
+__all__ = ["main"]

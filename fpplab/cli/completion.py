@@ -1,4 +1,7 @@
-"""Options of commands, and the names that a shell completes: shipped configurations, and files."""
+"""Options of commands, the names that a shell completes, and the check that a named file exists.
+
+The check comes before all that a command loads, so that a mistyped name is answered at once.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
+
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.files import no_such_file
 
 if TYPE_CHECKING:
     from fpplab.core.config import ConfigKind
@@ -25,10 +31,38 @@ def names_of(kind: ConfigKind) -> Callable[[str], list[str]]:
     return complete
 
 
+def existing_config(kind: ConfigKind) -> Callable[[Any], Any]:
+    def check(name: Any) -> Any:
+        from fpplab.core.config import find_config
+
+        if name is not None:
+            find_config(name, kind)
+        return name
+
+    return check
+
+
+def existing_data(named: Any) -> Any:
+    return _existing(named, DataError)
+
+
+def existing_file(named: Any) -> Any:
+    return _existing(named, ConfigError)
+
+
+def _existing(named: Any, error: type[ConfigError | DataError]) -> Any:
+    for path in named if isinstance(named, list | tuple) else [named]:
+        if path is not None and not path.exists() and not path.is_symlink():
+            raise error(no_such_file(path))
+    return named
+
+
 def option(flags: str, help_text: str, **more: Any) -> Any:
     return typer.Option(*flags.split(), help=help_text, **more)
 
 
 def config_option(kind: ConfigKind, help_text: str, flag: str = "") -> Any:
     """Make an option, by default of the kind's own name, that takes a configuration of this kind."""
-    return option(flag or f"--{kind}", help_text, autocompletion=names_of(kind))
+    return option(
+        flag or f"--{kind}", help_text, autocompletion=names_of(kind), callback=existing_config(kind)
+    )

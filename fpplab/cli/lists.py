@@ -40,6 +40,12 @@ GLOBAL, GLOBAL_WITH_VALUE = ("--verbose", "-v", "--trace"), ("--log", "--allow",
 
 def global_first(arguments: Sequence[str]) -> list[str]:
     """Put the options of the program before its command: `scan -v` becomes `-v scan`."""
+    front, rest = split_global(arguments)
+    return [*front, *rest]
+
+
+def split_global(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Give the options of the program, and the command with its own words."""
     front: list[str] = []
     rest: list[str] = []
     remaining = list(arguments)
@@ -51,4 +57,4 @@ def global_first(arguments: Sequence[str]) -> list[str]:
             front += [word, remaining.pop(0)]
         else:
             rest.append(word)
-    return [*front, *rest, *remaining]
+    return front, [*rest, *remaining]

@@ -4,7 +4,6 @@ import os
 import platform
 import re
 from functools import cache
-from importlib import metadata
 from typing import Any
 
 from fpplab.core.version import __version__
@@ -27,6 +26,8 @@ def host_facts() -> dict[str, Any]:
 
 def extra_by_package() -> dict[str, str]:
     """Map each package that fpplab asks for to its extra; empty where it is always needed."""
+    from importlib import metadata  # which reads mails: most commands end without
+
     try:
         lines = metadata.requires("fpplab") or []
     except metadata.PackageNotFoundError:
@@ -42,6 +43,8 @@ def extra_by_package() -> dict[str, str]:
 
 @cache
 def package_version(distribution: str) -> str | None:
+    from importlib import metadata
+
     try:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError:

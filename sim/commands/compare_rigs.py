@@ -7,17 +7,19 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Json
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import config_option, existing_data, existing_file, option
 
 program = typer.Typer()
 
 
 @program.command("compare-rigs", rich_help_panel=TWIN)
 def compare_rigs_command(
-    session: Annotated[Path, typer.Argument(help="Scan of the item on the bench.")],
-    rig: Annotated[str, typer.Option("--rig", help="Rig file of the twin.", autocompletion=names_of("rig"))],
+    session: Annotated[Path, typer.Argument(help="Scan of the item on the bench.", callback=existing_data)],
+    rig: Annotated[str, config_option("rig", "Rig file of the twin.")],
     item: Annotated[str, typer.Option("--item", help="Scanned item, by its name in the twin's world.")],
-    calibration: Annotated[Path, typer.Option("--calibration", help="Calibration of the bench.")],
+    calibration: Annotated[
+        Path, option("--calibration", "Calibration of the bench.", callback=existing_file)
+    ],
     json: Json = False,
 ) -> None:
     """Compare a bench with its twin on one scan: predicted and measured figures, calibrations exchanged.

@@ -6,7 +6,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Json, Out, PlanName, RigName
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import config_option
 from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 
 program = typer.Typer()
@@ -21,11 +21,7 @@ def dataset_command(
     plan: PlanName = "plan_paper.yaml",
     scenes: Annotated[
         str,
-        typer.Option(
-            "--scenes",
-            help="Scene file: ranges from which scenes are drawn.",
-            autocompletion=names_of("dataset"),
-        ),
+        config_option("dataset", "Scene file: ranges from which scenes are drawn.", "--scenes"),
     ] = "dataset_demo.yaml",
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random scenes.")] = 0,
     shard_size: Annotated[int, typer.Option("--shard-size", min=1, help="Number of samples per shard.")] = 8,

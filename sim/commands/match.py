@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Force, Json, Out
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import config_option
 from fpplab.cli.lists import VariadicOptionsCommand
 from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import ConfigError
@@ -34,12 +34,7 @@ program = typer.Typer()
 def match_command(
     context: typer.Context,
     twin: Annotated[
-        str,
-        typer.Option(
-            "--twin",
-            help="Rig file of the nominal twin, with values from data sheets.",
-            autocompletion=names_of("rig"),
-        ),
+        str, config_option("rig", "Rig file of the nominal twin, with values from data sheets.", "--twin")
     ],
     out: Out,
     reference: Annotated[
@@ -76,12 +71,7 @@ def match_command(
         typer.Option("--accept", help="CAUSE: proceed despite this finding; the twin keeps a warning."),
     ] = None,
     target: Annotated[
-        str | None,
-        typer.Option(
-            "--target",
-            help="Target file of the board. Default: the twin's.",
-            autocompletion=names_of("target"),
-        ),
+        str | None, config_option("target", "Target file of the board. Default: the twin's.")
     ] = None,
     item: Annotated[str, typer.Option("--item", help="Name of the board in the twin's fixture.")] = "board",
     epochs: Annotated[int, typer.Option("--epochs", min=1, help="Maximum number of epochs.")] = 25,

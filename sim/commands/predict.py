@@ -7,18 +7,15 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Json
-from fpplab.cli.completion import names_of
+from fpplab.cli.completion import config_option
 
 program = typer.Typer()
 
 
 @program.command("predict", rich_help_panel=TWIN)
 def predict_command(
-    rig: Annotated[
-        str,
-        typer.Option("--rig", help="Rig file of a twin or virtual bench.", autocompletion=names_of("rig")),
-    ],
-    plan: Annotated[str, typer.Option("--plan", help="Plan to project.", autocompletion=names_of("plan"))],
+    rig: Annotated[str, config_option("rig", "Rig file of a twin or virtual bench.")],
+    plan: Annotated[str, config_option("plan", "Plan to project.")],
     item: Annotated[str, typer.Option("--item", help="Item to measure, by its name in the twin's world.")],
     calibration: Annotated[
         Path | None,

@@ -16,7 +16,7 @@ from fpplab.artefacts import catalogue, shapes
 from fpplab.artefacts.shapes.pillars import PILLAR_CORNERS, Pillars
 from fpplab.artefacts.shapes.pyramid import Pyramid
 from fpplab.artefacts.shapes.steps import Staircase
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.clouds import load_mesh
 from fpplab.core.errors import ConfigError
 

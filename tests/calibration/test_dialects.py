@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from fpplab.calibration.interchange import import_calibration
 from fpplab.calibration.model import Calibration
 from fpplab.calibration.variants import export_calibration
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError
 from tests.calibration.examples import calibration

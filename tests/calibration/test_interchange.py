@@ -15,7 +15,7 @@ from fpplab.calibration.dialects import is_own
 from fpplab.calibration.interchange import Format, import_calibration, to_opencv
 from fpplab.calibration.model import Calibration
 from fpplab.calibration.plausibility import ASPECTS
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform

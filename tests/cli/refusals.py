@@ -18,7 +18,7 @@ from typing import Any
 import yaml
 from typer.main import get_command
 
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.core.errors import FppError
 from fpplab.core.file_kinds import describe_file
 from tests.support.commands import ROOT

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.clouds import Cloud, load_cloud, save_cloud
 from fpplab.core.errors import FppError
 from tests.calibration.examples import calibration

@@ -11,7 +11,7 @@ import yaml
 from PIL import Image as Pillow
 from typer.testing import CliRunner
 
-from fpplab.cli import app
+from fpplab.cli.every import app
 from tests.support.commands import ROOT, Command, Demo
 from tests.support.recorded import image_of
 
@@ -191,7 +191,7 @@ def test_help_teaches_every_command() -> None:
 
 def test_the_commands_are_known_without_what_they_need() -> None:
     heavy = ["bpy", "cv2", "hid", "matplotlib", "numba", "pypylon", "rerun", "scipy", "sdl2", "serial"]
-    code = f"import sys, fpplab.cli; print(sorted(set(sys.modules) & set({heavy})))"
+    code = f"import sys, fpplab.cli.every; print(sorted(set(sys.modules) & set({heavy})))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

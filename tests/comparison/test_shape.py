@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from fpplab import artefacts
 from fpplab.artefacts.recognition import PlacedArtefact, recognise
 from fpplab.calibration.model import PARAMETERS, Uncertainty
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.clouds import Cloud, load_mesh, save_cloud
 from fpplab.comparison import compare
 from fpplab.comparison.alignment import AlignmentMesh

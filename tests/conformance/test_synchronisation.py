@@ -13,8 +13,8 @@ from fpplab.acquisition import acquire as acquisition
 from fpplab.acquisition.acquire import acquire, capture
 from fpplab.acquisition.synchronisation import Cause, SyncFault
 from fpplab.calibration.model import Calibration
-from fpplab.cli import app
 from fpplab.cli.console import CommandExit
+from fpplab.cli.every import app
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import CalibrationError, DataError, DeviceError, FppError, SyncError

@@ -14,7 +14,7 @@ from drivers.clock import SteppedClock
 from drivers.dlp4500.device import LedLevels
 from drivers.dlp4500.sequence import MIN_GAP_US
 from drivers.emulators.dlpc350 import STRICT, Dlpc350, Dlpc350Policy, EmulatedHid
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.core.errors import CapabilityError, ProtocolError
 from fpplab.devices.backends import ALLOWED
 from fpplab.devices.discovery import FoundDevices

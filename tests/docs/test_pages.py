@@ -21,7 +21,7 @@ from docs.generate.pages import (
 )
 from docs.generate.reference import every_command
 from docs.generate.running import invoke, run_once
-from fpplab.cli import app
+from fpplab.cli.every import app
 
 pytestmark = pytest.mark.timeout(1800)  # pages are run as they stand, some for minutes
 PAGES = sorted(page for page in DOCS.rglob("*.md") if "decisions" not in page.parts)

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from drivers.basler.transport import Pylon
 from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.core.errors import ConfigError, DataError, DeviceError, DisconnectedError, FppError, StateError
 from tests.drivers.basler_bench import SERIAL, SETTINGS, driver
 

@@ -20,7 +20,7 @@ from drivers.dlp4500.sequence import SIZE
 from drivers.dlp4500.transport import Link
 from drivers.emulators.dlpc350 import Dlpc350Policy, UsbFault
 from drivers.emulators.dlpc350.flash import SPLASH_ADDRESS
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.core import confirmation
 from fpplab.core.errors import (
     Cancelled,

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from drivers import computer_discovery
 from fpplab.calibration.model import Calibration
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.clouds import load_cloud
 from fpplab.core.conventions import Floats
 from sim.items import item_poses

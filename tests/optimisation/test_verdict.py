@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 from typer.testing import CliRunner
 
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.core import config
 from fpplab.diagnosis import Diagnosis, UselessScanError, Verdict
 from fpplab.optimisation import run

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fpplab.cli import app
 from fpplab.cli.commands import rig as rig_commands
+from fpplab.cli.every import app
 from fpplab.core import plugins
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError, DeviceError

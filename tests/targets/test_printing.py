@@ -13,7 +13,7 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError, DataError

@@ -9,7 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, ReportOption, app
-from fpplab.cli.completion import option
+from fpplab.cli.completion import existing_data, option
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_measurement
 
 if TYPE_CHECKING:
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 @app.command("compare", rich_help_panel=JUDGE)
 def compare_command(
     context: typer.Context,
-    cloud: Annotated[Path, typer.Argument(help="Measured cloud: .ply, .xyz or .npz, or a session.")],
+    cloud: Annotated[
+        Path, typer.Argument(help="Measured cloud: .ply, .xyz or .npz, or a session.", callback=existing_data)
+    ],
     mesh: Annotated[Path, typer.Argument(help="True shape: .stl, .ply or .obj, in mm.")],
     align: Annotated[
         bool, option("--align", "Align the mesh with the cloud first, by a rigid motion.")

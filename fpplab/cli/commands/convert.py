@@ -7,7 +7,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, CameraSize, Force, Json, Out, ProjectorLattice, ProjectorSize, app
-from fpplab.cli.completion import option
+from fpplab.cli.completion import existing_file, option
 from fpplab.core.errors import ConfigError
 
 
@@ -16,7 +16,8 @@ def convert_command(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="An fpplab calibration, or the files of another program that together contain one."
+            help="An fpplab calibration, or the files of another program that together contain one.",
+            callback=existing_file,
         ),
     ],
     out: Out,

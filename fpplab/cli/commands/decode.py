@@ -7,6 +7,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, AsRecorded, Force, Json, LimitsOption, Out, app
+from fpplab.cli.completion import existing_data
 from fpplab.cli.viewing import ConsoleObserver
 
 KnownCoordinates = Annotated[
@@ -22,7 +23,7 @@ KnownCoordinates = Annotated[
 
 @app.command("decode", rich_help_panel=MEASURE)
 def decode_command(
-    session: Annotated[Path, typer.Argument(help="Recorded session.")],
+    session: Annotated[Path, typer.Argument(help="Recorded session.", callback=existing_data)],
     out: Out,
     known: KnownCoordinates = None,
     reference: Annotated[

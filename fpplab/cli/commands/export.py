@@ -10,7 +10,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Force, Json, app
-from fpplab.cli.completion import option
+from fpplab.cli.completion import existing_file, option
 from fpplab.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -25,7 +25,8 @@ def export_command(
     source: Annotated[
         Path,
         typer.Argument(
-            help="Point cloud, session with its cloud, calibration, JSON output of a command, or journal."
+            help="Point cloud, session with its cloud, calibration, JSON output of a command, or journal.",
+            callback=existing_file,
         ),
     ],
     out: Annotated[
@@ -74,8 +75,6 @@ def _kind_of(source: Path) -> str:
     from fpplab.core.file_kinds import FOREIGN_CALIBRATIONS, describe_file
 
     suffix = source.suffix.lower()
-    if not source.exists():
-        raise ConfigError(f"{source}: does not exist")
     if source.is_dir() or suffix in READ_SUFFIXES:
         return "cloud"
     kind = describe_file(source)

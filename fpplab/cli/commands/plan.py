@@ -23,7 +23,7 @@ from fpplab.cli.app import (
     SkippedImages,
     app,
 )
-from fpplab.cli.completion import names_of, option
+from fpplab.cli.completion import existing_config, names_of, option
 from fpplab.core.errors import DataError
 
 plan_app = typer.Typer(
@@ -42,6 +42,7 @@ def show_command(
             metavar="PLAN",
             help="Plan file, or the name of a plan supplied with fpplab.",
             autocompletion=names_of("plan"),
+            callback=existing_config("plan"),
         ),
     ],
     rig: RigName,

@@ -19,14 +19,16 @@ from fpplab.cli.app import (
     YesNo,
     app,
 )
-from fpplab.cli.completion import option
+from fpplab.cli.completion import existing_data, option
 from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_measurement
 
 
 @app.command("reconstruct", rich_help_panel=MEASURE)
 def reconstruct_command(
     context: typer.Context,
-    session: Annotated[Path, typer.Argument(help="Recorded session, or decoded maps (.npz).")],
+    session: Annotated[
+        Path, typer.Argument(help="Recorded session, or decoded maps (.npz).", callback=existing_data)
+    ],
     calibration: CalibrationOption,
     out: Out,
     filtering: Annotated[

@@ -7,13 +7,15 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, app
-from fpplab.cli.completion import option
+from fpplab.cli.completion import existing_data, option
 from fpplab.cli.viewing import ConsoleObserver
 
 
 @app.command("report", rich_help_panel=JUDGE)
 def report_command(
-    scans: Annotated[list[Path], typer.Argument(help="Two or more sessions or clouds.")],
+    scans: Annotated[
+        list[Path], typer.Argument(help="Two or more sessions or clouds.", callback=existing_data)
+    ],
     out: Annotated[Path, option("--out", "HTML file to write.")],
     force: Force = False,
     json: Json = False,

@@ -8,9 +8,12 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Commands, Json, app
+from fpplab.cli.completion import existing_data
 from fpplab.core.errors import DataError
 
-SessionPath = Annotated[Path, typer.Argument(metavar="SESSION", help="Session folder.")]
+SessionPath = Annotated[
+    Path, typer.Argument(metavar="SESSION", help="Session folder.", callback=existing_data)
+]
 
 session_app = typer.Typer(cls=Commands, help="Describe, verify or repair a session.", no_args_is_help=True)
 app.add_typer(session_app, name="session", rich_help_panel=MEASURE)

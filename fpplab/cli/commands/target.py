@@ -8,7 +8,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, app
-from fpplab.cli.completion import names_of, option
+from fpplab.cli.completion import existing_config, names_of, option
 
 
 @app.command("target", rich_help_panel=PREPARE)
@@ -19,6 +19,7 @@ def target_command(
             metavar="TARGET",
             help="Target file, or the name of a target supplied with fpplab.",
             autocompletion=names_of("target"),
+            callback=existing_config("target"),
         ),
     ],
     out: Annotated[Path, option("--out --make", "Page to write: .pdf or .svg.")],

@@ -9,7 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Force, Json, app
-from fpplab.cli.completion import option
+from fpplab.cli.completion import existing_data, option
 from fpplab.core.errors import ConfigError
 from fpplab.core.extras import need_extra
 
@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 @app.command("view", rich_help_panel=MEASURE)
 def view_command(
     session: Annotated[
-        Path, typer.Argument(help="Session; or a recording made with `--view` (.rrd file or its folder).")
+        Path,
+        typer.Argument(
+            help="Session; or a recording made with `--view` (.rrd file or its folder).",
+            callback=existing_data,
+        ),
     ],
     calibration: Annotated[
         Path | None, option("--calibration", "Calibration file. Default: the one in the session.")

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from fpplab import artefacts
 from fpplab.artefacts.shapes.ball_bar import BallBar
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.cli.lists import repeat_option_per_path
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.comparison.acceptance import Standard, verify, verify_ball_bar, verify_plane

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import Dlp4500, protocol
 from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid
-from fpplab.cli import app
+from fpplab.cli.every import app
 from fpplab.core import config, confirmation
 from fpplab.core.errors import ConfigError, DisconnectedError, LimitError, ProtocolError
 from tests.drivers.dlpc350_host import FLASH
