@@ -21,8 +21,8 @@ from enum import StrEnum
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.patterns.plan import Plan
@@ -231,8 +231,10 @@ def _waves(plan: Plan, harmonics: int, own_offsets: bool) -> Floats:
     """Basis of what a pixel may see of every pattern: own harmonics for each set, and one common offset."""
     # With own offsets the room's light changed between the sets, which their phases do not see.
     offsets = [np.ones((each.images, 1)) for each in plan.sets]
-    waves = block_diag(*(each.waves(harmonics) for each in plan.sets))
-    return np.concatenate([block_diag(*offsets) if own_offsets else np.vstack(offsets), waves], axis=1)
+    waves = scipy.linalg.block_diag(*(each.waves(harmonics) for each in plan.sets))
+    return np.concatenate(
+        [scipy.linalg.block_diag(*offsets) if own_offsets else np.vstack(offsets), waves], axis=1
+    )
 
 
 @dataclass(frozen=True, eq=False)

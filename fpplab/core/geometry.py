@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -38,10 +39,15 @@ class RigidTransform:
     @cached_property
     def rotation_vector(self) -> Floats:
         """OpenCV's rotation vector in rad, (3,), read-only."""
-        from scipy.spatial.transform import Rotation  # a tenth of a second that reading files does not need
-
         # Not OpenCV's own inverse, which returns zero for every angle below 1e-5 rad.
-        vector = np.array(Rotation.from_matrix(self.rotation).as_rotvec(), np.float64)
+        difference = self.rotation - self.rotation.T
+        turn = np.array([difference[2, 1], difference[0, 2], difference[1, 0]]) / 2.0
+        sine, cosine = float(np.linalg.norm(turn)), float(np.trace(self.rotation) - 1.0) / 2.0
+        vector = turn * (math.atan2(sine, cosine) / sine if sine > 0.0 else 1.0)
+        if cosine < 0.0:  # towards half a turn the sine vanishes, and with it the axis
+            from scipy.spatial.transform import Rotation  # a tenth of a second that most poses do not need
+
+            vector = np.array(Rotation.from_matrix(self.rotation).as_rotvec(), np.float64)
         vector.flags.writeable = False
         return vector
 

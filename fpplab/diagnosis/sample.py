@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from fpplab.clouds import Cloud
 from fpplab.core.compiled import kernel
@@ -183,7 +183,12 @@ class FrameSample:
         """Share of the power of the widest fringes that 25 neighbours share: 0 for noise, 1 for fringes."""
         fit = self.tile_fits[self._widest]
         phasor = fit.modulation * np.exp(1j * fit.phase)
-        shared = sum(np.square(uniform_filter(part, (0, 5, 5))).sum() for part in (phasor.real, phasor.imag))
+        around = (
+            cv2.blur(part, (5, 5), borderType=cv2.BORDER_REFLECT)
+            for tile in phasor
+            for part in (tile.real, tile.imag)
+        )
+        shared = sum(np.square(each).sum() for each in around)
         share = float(shared) / max(float(np.sum(np.square(fit.modulation))), 1e-12)
         return (share - 1.0 / 25.0) / (1.0 - 1.0 / 25.0)
 

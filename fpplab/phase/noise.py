@@ -9,7 +9,6 @@ level and phase (`repeated_rounding`), and no mean lessens it.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 from scipy.special import chdtr, chdtri
 
 from fpplab.core.conventions import Floats, Image
@@ -92,8 +91,16 @@ def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> Nois
     # Means scatter in proportion to the variance itself.
     weight = 1.0 / np.maximum(mean[sampled], floor)
     design = np.stack([np.ones(sampled.sum()), centre[sampled]], axis=1) * weight[:, None]
-    (constant, per_level), _ = nnls(design, np.maximum(mean[sampled] - floor, 0.0) * weight)
+    constant, per_level = _not_negative(design, np.maximum(mean[sampled] - floor, 0.0) * weight)
     return NoiseModel(floor + float(constant), float(per_level), step)
+
+
+def _not_negative(design: Floats, values: Floats) -> Floats:
+    """Solve least squares for two unknowns of which none is negative."""
+    alone = np.maximum(design.T @ values, 0.0) / np.square(design).sum(axis=0)
+    solutions = [np.linalg.lstsq(design, values, rcond=None)[0], np.diag(alone)[0], np.diag(alone)[1]]
+    allowed = [each for each in solutions if each.min() >= 0.0]
+    return min(allowed, key=lambda each: float(np.linalg.norm(design @ each - values)))
 
 
 def surprising_power(freedom: int) -> float:

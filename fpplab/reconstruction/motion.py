@@ -14,24 +14,9 @@ from functools import cached_property
 from itertools import combinations, product
 
 import numpy as np
+import scipy  # whose parts are loaded where something moves
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import (
-    binary_closing,
-    binary_dilation,
-    binary_erosion,
-    binary_fill_holes,
-    distance_transform_edt,
-    gaussian_filter,
-    label,
-    map_coordinates,
-    maximum_filter,
-    median_filter,
-    minimum_filter,
-    spline_filter,
-    uniform_filter,
-)
-from scipy.optimize import least_squares
 
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import AXES, TWO_PI, Floats, Image, Map, Mask, axis_length, full_scale
@@ -125,7 +110,7 @@ class _Tiles:
         walk_px = np.median(np.abs(moved[moves])) * rates[-1] / turns[-1] if moves.any() else 0.0
         if moves.sum() > MOTION.whole_share * lit.sum() and walk_px < MOTION.max_walk_px:
             return None  # the projector's picture may walk as far
-        groups, count = label(moves, np.ones((3, 3)))
+        groups, count = scipy.ndimage.label(moves, np.ones((3, 3)))
         moves &= np.bincount(groups.ravel(), minlength=count + 1)[groups] >= MOTION.min_tiles
         if not moves.any():
             return None
@@ -181,8 +166,10 @@ def _depth(recording: Recording, calibration: Calibration, *, rough: bool) -> tu
     depth = np.full(recording.frames[0].shape, np.nan)
     u, v = cloud.pixels.astype(int).T
     depth[v, u] = cloud.points[:, 2]
-    nearest = distance_transform_edt(np.isnan(depth), return_distances=False, return_indices=True)
-    around = np.asarray(median_filter(depth[tuple(nearest)], MOTION.median_px))
+    nearest = scipy.ndimage.distance_transform_edt(
+        np.isnan(depth), return_distances=False, return_indices=True
+    )
+    around = np.asarray(scipy.ndimage.median_filter(depth[tuple(nearest)], MOTION.median_px))
     return around, np.abs(depth - around) <= MOTION.max_step_share * around
 
 
@@ -209,8 +196,10 @@ class _Follower:
 
     @cached_property
     def splines(self) -> list[Map]:
-        levels = (gaussian_filter(f.astype(np.float32), self.blur_px) for f in self.recording.frames)
-        return [spline_filter(each, output=np.float32) for each in levels]
+        levels = (
+            scipy.ndimage.gaussian_filter(f.astype(np.float32), self.blur_px) for f in self.recording.frames
+        )
+        return [scipy.ndimage.spline_filter(each, output=np.float32) for each in levels]
 
     @cached_property
     def points(self) -> Floats:
@@ -234,7 +223,7 @@ class _Follower:
         to_rad = TWO_PI * fringe.stripes / axis_length(self.recording.projector_size, fringe.axis)
         shifts = fringe.phase_shifts()[:, None] - to_rad * bend @ (np.stack(shown[:2]) - shown[2])
         levels = [
-            map_coordinates(spline, at.T, prefilter=False, mode="nearest", output=np.float64)
+            scipy.ndimage.map_coordinates(spline, at.T, prefilter=False, mode="nearest", output=np.float64)
             for spline, at in zip(self.splines[first:end], seen, strict=True)
         ]
         return np.stack(levels), shifts, np.asarray(seen)
@@ -321,7 +310,7 @@ def _regions(follower: _Follower, tiles: _Tiles) -> list[_Region]:
 def _refitted(follower: _Follower, region: _Region) -> _Region:
     """Fit a part once more by its inner pixels."""
     mask = region.judged.mask
-    inner = np.argwhere(binary_erosion(mask, np.ones((MOTION.window_px, MOTION.window_px))))
+    inner = np.argwhere(scipy.ndimage.binary_erosion(mask, np.ones((MOTION.window_px, MOTION.window_px))))
     seeds = np.random.default_rng(0).permutation(inner if len(inner) else np.argwhere(mask))
     seeds = seeds[: MOTION.fitted_pixels]
     return _region(follower, region.moved, seeds, np.zeros_like(mask), 3, region.moving)
@@ -402,7 +391,7 @@ def _by_least_squares(follower: _Follower, start: Floats, pixels: Pixels) -> Flo
         return np.asarray(np.stack([values(moved + step * e) - here for e in np.eye(3)], axis=1) / step)
 
     tolerance, most = MOTION.fit_tolerance, MOTION.fit_passes
-    fit = least_squares(
+    fit = scipy.optimize.least_squares(
         values,
         start,
         slopes,
@@ -472,7 +461,9 @@ def _part(follower: _Follower, seeds: Pixels, moved: Floats, window_px: int) -> 
 
     def left(displacement: Floats) -> Floats:
         power = [np.square(follower.residuals(b, displacement, gains=False)).sum(axis=0) for b in blocks]
-        return np.asarray(uniform_filter(np.concatenate(power).reshape(nearby[0].shape), window_px))
+        return np.asarray(
+            scipy.ndimage.uniform_filter(np.concatenate(power).reshape(nearby[0].shape), window_px)
+        )
 
     chance = MOTION.chance_sigmas * np.sqrt(2.0 * follower.freedom) / window_px
     still, followed = left(np.zeros(3)), left(moved)
@@ -481,13 +472,16 @@ def _part(follower: _Follower, seeds: Pixels, moved: Floats, window_px: int) -> 
     fits = (followed < MOTION.outlier_ratio * typical) & (followed - still < chance)
     # Neither do they differ where a part without texture moves across; it goes on without a step.
     depth = follower.depth[first[0] : end[0], first[1] : end[1]]
-    steps = maximum_filter(depth, 3) - minimum_filter(depth, 3) > MOTION.max_step_share * depth
-    part[first[0] : end[0], first[1] : end[1]] = binary_closing(
+    steps = (
+        scipy.ndimage.maximum_filter(depth, 3) - scipy.ndimage.minimum_filter(depth, 3)
+        > MOTION.max_step_share * depth
+    )
+    part[first[0] : end[0], first[1] : end[1]] = scipy.ndimage.binary_closing(
         fits & ((still - followed > chance) | ~steps), np.ones((3, 3))
     )
-    groups = label(part)[0]
+    groups = scipy.ndimage.label(part)[0]
     own = np.unique(groups[tuple(seeds.T)])
-    mask = binary_fill_holes(np.isin(groups, own[own > 0]))
+    mask = scipy.ndimage.binary_fill_holes(np.isin(groups, own[own > 0]))
     swept = np.zeros_like(part)
     swept[first[0] : end[0], first[1] : end[1]] = still > MOTION.outlier_ratio * typical
     return mask, swept & ~mask
@@ -528,7 +522,7 @@ def _follow(follower: _Follower, region: _Region, frames: list[Image]) -> Mask:
             frame[own] = np.clip(np.rint(level), 0, top).astype(frame.dtype)
             v, u = np.clip(np.rint(at).astype(int), 0, np.array(passed.shape) - 1).T
             passed[v, u] = True
-    return np.asarray(binary_dilation(passed, np.ones((3, 3))))  # the lens blurs its edge
+    return np.asarray(scipy.ndimage.binary_dilation(passed, np.ones((3, 3))))  # the lens blurs its edge
 
 
 def _part_motion(follower: _Follower, region: _Region) -> tuple[PartMotion, Floats]:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import label, uniform_filter
+import scipy
 
 from fpplab.calibration.model import Calibration
 from fpplab.core.config import Positive
@@ -161,7 +161,9 @@ def _regions(sample: FrameSample, decoded: Decoded, k: int, halves: Floats) -> I
         return
     noise = robust_spread((halves[0] - halves[1])[known], 0.0) / 2.0
     for sign in (-1.0, 1.0):
-        numbers, count = label(known & (sign * mean > limits.min_region_sigmas * noise), np.ones((3, 3)))
+        numbers, count = scipy.ndimage.label(
+            known & (sign * mean > limits.min_region_sigmas * noise), np.ones((3, 3))
+        )
         for n in range(1, count + 1):
             own = numbers == n
             if own.sum() >= limits.min_region_blocks:
@@ -258,8 +260,10 @@ def _phase_error(sample: FrameSample, axis: Axis, backward: Mask) -> float:
     fine, coarse = sample.fits[finest], sample.fits[wide]
     contrast = np.where(used, fine.modulation / np.where(used, coarse.modulation, 1.0), 0.0)
     window = 17  # in pixels of the sample (chosen)
-    coverage = np.maximum(uniform_filter(used.astype(np.float64), window), 1e-9)
-    deviation = np.abs(contrast * coverage / np.maximum(uniform_filter(contrast, window), 1e-9) - 1.0)
+    coverage = np.maximum(scipy.ndimage.uniform_filter(used.astype(np.float64), window), 1e-9)
+    deviation = np.abs(
+        contrast * coverage / np.maximum(scipy.ndimage.uniform_filter(contrast, window), 1e-9) - 1.0
+    )
     return float(np.median(np.where(backward, np.inf, deviation)[used])) / MEDIAN / sample.phase_noise(finest)
 
 

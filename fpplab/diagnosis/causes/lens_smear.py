@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
-from scipy.ndimage import label
+import scipy
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import TWO_PI, Floats, Mask, axis_length
@@ -81,7 +81,7 @@ def _find(evidence: Evidence, before: Sequence[Finding]) -> Iterator[Finding]:
         return
     sample = evidence.frames
     scatter = robust_spread(beyond[sample.measured], 0.0)
-    parts, count = label(beyond > max(limits.max_blur_px**2, limits.min_sigmas * scatter))
+    parts, count = scipy.ndimage.label(beyond > max(limits.max_blur_px**2, limits.min_sigmas * scatter))
     if not count:
         return
     sizes = np.bincount(parts.ravel())[1:]
