@@ -19,7 +19,7 @@ def main() -> None:
 
 
 def _run(arguments: list[str]) -> None:
-    command = next(iter(split_global(arguments)[1]), "--help")
+    command = next(iter(split_global(arguments)[1]), "")
     name = command.replace("-", "_")
     modules = [f"{__name__}.commands.{each}" for each in (name, f"{name}_") if each.isidentifier()]
     import_module(next((each for each in modules if find_spec(each)), f"{__name__}.every"))

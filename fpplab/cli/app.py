@@ -2,8 +2,10 @@
 
 import inspect
 import sys
+from collections.abc import Callable
 from copy import copy
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -13,7 +15,7 @@ from typer.models import CommandInfo, TyperInfo
 
 from fpplab.cli import console, logs
 from fpplab.cli.advice import unknown_command
-from fpplab.cli.completion import config_option, existing_file, option
+from fpplab.cli.completion import CHECKS, config_option, existing_file, option
 from fpplab.cli.lists import global_first
 from fpplab.cli.trace import TRACE
 from fpplab.core.confirmation import ConfirmationRequired, confirm_in_advance
@@ -39,7 +41,11 @@ class Commands(TyperGroup):
         if not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
             purposes = {name: each.get_short_help_str(500) for name, each in self.commands.items()}
             raise ConfigError(unknown_command(ctx.command_path, args[0], purposes))
-        return super().resolve_command(ctx, args)
+        name, command, rest = super().resolve_command(ctx, args)
+        if command is not None and (callback := command.callback) and not hasattr(command, "commands"):
+            command = copy(command)  # the next call has other checks
+            command.callback = partial(_check_and_run, ctx.meta, callback)
+        return name, command, rest
 
     def invoke(self, ctx: Any) -> Any:
         words = [*ctx._protected_args, *ctx.args]  # noqa: SLF001 - which click has no public name for
@@ -50,6 +56,12 @@ class Commands(TyperGroup):
         except Exception as error:
             _explain(error, words, ctx)
             raise
+
+
+def _check_and_run(meta: dict[str, Any], callback: Callable[..., Any], **values: Any) -> Any:
+    for check in meta.pop(CHECKS, []):
+        check()
+    return callback(**values)
 
 
 def _explain(error: Exception, words: list[str], context: Any) -> None:

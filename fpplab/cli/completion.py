@@ -6,6 +6,7 @@ The check comes before all that a command loads, so that a mistyped name is answ
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,30 +32,34 @@ def names_of(kind: ConfigKind) -> Callable[[str], list[str]]:
     return complete
 
 
-def existing_config(kind: ConfigKind) -> Callable[[Any], Any]:
-    def check(name: Any) -> Any:
+CHECKS = "fpplab.checks"
+"""In a context's `meta`: what is called before the command, once all its words are understood."""
+
+
+def existing_config(kind: ConfigKind) -> Callable[[typer.Context, Any], Any]:
+    def check(name: Any) -> None:
         from fpplab.core.config import find_config
 
-        if name is not None:
-            find_config(name, kind)
-        return name
+        find_config(name, kind)
 
-    return check
+    return _checked(check)
 
 
-def existing_data(named: Any) -> Any:
-    return _existing(named, DataError)
+def _checked(check: Callable[[Any], None]) -> Callable[[typer.Context, Any], Any]:
+    def register(context: typer.Context, named: Any) -> Any:
+        given = named if isinstance(named, list | tuple) else [] if named is None else [named]
+        context.meta.setdefault(CHECKS, []).extend(partial(check, each) for each in given)
+        return named
+
+    return register
 
 
-def existing_file(named: Any) -> Any:
-    return _existing(named, ConfigError)
+def _require(error: type[ConfigError | DataError], path: Path) -> None:
+    if not path.exists() and not path.is_symlink():
+        raise error(no_such_file(path))
 
 
-def _existing(named: Any, error: type[ConfigError | DataError]) -> Any:
-    for path in named if isinstance(named, list | tuple) else [named]:
-        if path is not None and not path.exists() and not path.is_symlink():
-            raise error(no_such_file(path))
-    return named
+existing_data, existing_file = (_checked(partial(_require, kind)) for kind in (DataError, ConfigError))
 
 
 def option(flags: str, help_text: str, **more: Any) -> Any:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -50,6 +51,12 @@ class MapSheet:
     marked: Mask | None = None  # (h, w) pixels in the alarm's colour
     contours: Sequence[float] = ()  # values that are drawn as lines
     ticks: Sequence[tuple[float, str]] = ()  # of the colour bar, in place of round numbers
+
+
+def drawn_pixels(values: NDArray[Any]) -> NDArray[Any]:
+    """Take of an image those pixels that its map shows."""
+    step = max(1, -(-values.shape[1] // MAP_PX))
+    return values[::step, ::step]
 
 
 def draw_maps(*sheets: MapSheet) -> bytes:
@@ -148,9 +155,7 @@ def _draw_bar(sheet: MapSheet, canvas: _Indices, text: "_Text", place: tuple[int
 
 
 def _map_body(sheet: MapSheet) -> _Indices:
-    values = sheet.values
-    step = max(1, -(-values.shape[1] // MAP_PX))
-    values = values[::step, ::step]
+    values = drawn_pixels(sheet.values)
     low, high = sheet.limits
     with np.errstate(invalid="ignore"):
         share = np.clip((values - low) * (COLOURS / max(high - low, 1e-12)), 0, COLOURS - 1)
@@ -162,7 +167,7 @@ def _map_body(sheet: MapSheet) -> _Indices:
         across = (steps[:, :-1] != steps[:, 1:]) & known[:, :-1] & known[:, 1:]
         body[:, :-1][across] = WHITE
     if sheet.marked is not None:
-        body[sheet.marked[::step, ::step]] = MARKED
+        body[drawn_pixels(sheet.marked)] = MARKED
     height, width = body.shape
     larger = max(1, -(-SMALLEST_PX // width))
     size = (width * larger, int(np.clip(height * larger, 60, 1.25 * max(width * larger, SMALLEST_PX))))

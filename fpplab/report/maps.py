@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import TWO_PI, Axis, Image, Map, full_scale
 from fpplab.core.robust import value_range
 from fpplab.report.map_sheet import MAP_PX, MapSheet, draw_maps, round_ticks
-from fpplab.report.raster import CloudLike, block_mean, raster_of, rasterise
+from fpplab.report.raster import CloudLike, Extent, block_mean, raster_of, rasterise
 
 
 def camera_image(image: Image, bits: int = 8) -> bytes:
@@ -29,10 +29,10 @@ def camera_image(image: Image, bits: int = 8) -> bytes:
     )
 
 
-def wrapped_phase_map(phase: Map) -> bytes:
+def wrapped_phase_map(phase: Map, extent: Extent | None = None) -> bytes:
     quarters = ("0", "π/2", "π", "3π/2", "2π")
     ticks = [(k * np.pi / 2, name) for k, name in enumerate(quarters)]
-    return draw_maps(MapSheet(phase, "twilight", (0.0, TWO_PI), "wrapped phase in rad", ticks=ticks))
+    return draw_maps(MapSheet(phase, "twilight", (0.0, TWO_PI), "wrapped phase in rad", extent, ticks=ticks))
 
 
 def coordinate_map(values: Map, axis: Axis) -> bytes:

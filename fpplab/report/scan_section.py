@@ -18,6 +18,7 @@ from fpplab.reconstruction.filtering import count_removed
 from fpplab.reconstruction.points import cost_at_edges
 from fpplab.report import maps, uncertainty
 from fpplab.report.cloud_view import MAX_POINTS, cloud_view
+from fpplab.report.map_sheet import drawn_pixels
 from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
 from fpplab.report.wording import NOT_KNOWN, count_text, number_text, percent_text
 from fpplab.results.provenance import Provenance
@@ -58,7 +59,7 @@ class ScanSection:
     name: str  # of the object
     images: int  # number of images of the plan
     frame: Image  # one raw frame [v, u] of the finest fringe set, or of a code
-    wrapped: Wrapped | None  # wrapped phase of that set; None where there are no fringes
+    wrapped: Wrapped | None  # that set in the pixels that a map shows; None where there are no fringes
     decoded: Decoded | None  # projector coordinates; None where there are none
     cloud: Cloud | None  # points; None where there are none
     comparison: Comparison | None = None  # with the true shape, where it is known
@@ -170,9 +171,11 @@ def _pictures_of_scan(scan: ScanSection) -> Iterator[ReportFigure]:
         )
     if decoded is not None and decoded.valid.any():
         if scan.wrapped is not None:
-            phase = np.where(decoded.valid, scan.wrapped.phase, np.float32(np.nan))
+            height, width = decoded.valid.shape
+            extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+            phase = np.where(drawn_pixels(decoded.valid), scan.wrapped.phase, np.float32(np.nan))
             yield ReportFigure.of(
-                maps.wrapped_phase_map(phase),
+                maps.wrapped_phase_map(phase, extent),
                 f"Map of the wrapped phase of the {name}",
                 "Wrapped phase of the finest set.",
             )

@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fpplab.diagnosis.evidence import Evidence
-from fpplab.phase import wrapped_phase
+from fpplab.patterns.recording import Recording
+from fpplab.phase import Wrapped, wrapped_phase
 from fpplab.phase.precision import uncertain_orders
 from fpplab.report.evidence import evidence_report
+from fpplab.report.map_sheet import drawn_pixels
 from fpplab.report.measurements import write_report
 from fpplab.report.page import PageBasis
 from fpplab.report.scan_section import ScanSection
@@ -36,7 +38,7 @@ def scan_section(result: ScanResult, comparison: Comparison | None = None) -> Sc
         name=session.path.name,
         images=session.plan.frames,
         frame=recording.typical_frame,
-        wrapped=wrapped_phase(*fringes.finest()[::-1]) if fringes else None,
+        wrapped=_drawn_phase(fringes) if fringes else None,
         decoded=result.decoded,
         cloud=result.cloud,
         comparison=comparison,
@@ -48,3 +50,8 @@ def scan_section(result: ScanResult, comparison: Comparison | None = None) -> Sc
         evidence=evidence_report(result.diagnosis.findings, evidence),
         plan=session.plan,
     )
+
+
+def _drawn_phase(fringes: Recording) -> Wrapped:
+    fringe, frames = fringes.finest()
+    return wrapped_phase([drawn_pixels(frame) for frame in frames], fringe)

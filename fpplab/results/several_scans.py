@@ -16,7 +16,7 @@ from fpplab.diagnosis import Diagnosis
 from fpplab.patterns.plan import Plan
 from fpplab.results.provenance import Provenance
 
-MAX_FITTED = 50_000  # points whose neighbours are fitted (chosen): their median is known to half a percent
+MAX_FITTED = 20_000  # points whose neighbours are fitted (chosen): their median is known to one percent
 
 
 def roughness_um(cloud: Cloud) -> float | None:

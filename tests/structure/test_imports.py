@@ -19,7 +19,8 @@ ABOVE = ("drivers", "sim", "benchmarks")
 LOADERS = {
     "fpplab/__init__.py",  # its own public names, when first used
     "fpplab/artefacts/catalogue.py",  # the files of `fpplab.artefacts.shapes`
-    "fpplab/cli/__init__.py",  # the files of `fpplab.cli.commands`
+    "fpplab/cli/__init__.py",
+    "fpplab/cli/every.py",  # the files of `fpplab.cli.commands`
     "fpplab/core/system.py",  # modules of Python that not every system has
     "fpplab/core/tagged_union.py",  # the files of a package of kinds
     "fpplab/diagnosis/catalogue.py",  # the files of `fpplab.diagnosis.causes`
