@@ -52,7 +52,8 @@ def every_command(command: Any, before: list[str]) -> Iterator[tuple[list[str], 
         for name, each in command.commands.items():
             if each.hidden:
                 continue  # a group shows it
-            yield from every_command(each, [*before, name])
+            if not each.hidden:  # shown below a group as well
+                yield from every_command(each, [*before, name])
         return
     words, needs_input = list(before), False
     for parameter in command.params:

@@ -173,6 +173,7 @@ def leave_out_parameters() -> None:
     for group in app.registered_groups:
         if group.typer_instance is not None:
             group.typer_instance.registered_commands.clear()
+            group.typer_instance.registered_groups.clear()
 
 
 def arrange_commands() -> None:

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from fpplab import Calibration, __version__
 from fpplab.cli.advice import OPTION_SYNONYMS, SYNONYMS, unknown_command, unknown_option
-from fpplab.cli.every import app
 from fpplab.cli.app import RARE
+from fpplab.cli.every import app
 from fpplab.cli.lists import global_first
 from fpplab.core.config import find_config, shipped_configs
 from fpplab.core.errors import ConfigError
