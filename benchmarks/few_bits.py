@@ -74,7 +74,7 @@ def _times() -> list[Result]:
         optics = {"optics": str(config.find_config("rig_demo_quick", "rig"))}
         with rig_file(Path(folder), optics, {"bits": 8, "roi": [0, 0, 684, 456]}) as rig:
             foretold = preview_plan(rig, few, "plan")[0]
-            measured_s, paper_s = _seconds(rig, few), _seconds(rig, paper)
+            measured_s, paper_s = scan_seconds(rig, few), scan_seconds(rig, paper)
     return [
         below("planes_of_nine_images", float(foretold.bit_planes), "", float(PLANES)),
         below("seconds_of_nine_images", measured_s, "s", 1.01 * foretold.least_s),
@@ -82,7 +82,7 @@ def _times() -> list[Result]:
     ]
 
 
-def _seconds(rig: Rig, plan: Plan) -> float:
+def scan_seconds(rig: Rig, plan: Plan) -> float:
     """From the first exposure to the last, and one period more, by the emulated clock."""
     shutter = bench_of(rig).shutter
     with patch.object(shutter, "open", wraps=shutter.open) as opened:

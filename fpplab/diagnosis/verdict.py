@@ -196,7 +196,7 @@ def diagnose_scan(
         if judged.verdict is Verdict.GOOD and geometry and geometry.doubt:
             reason = f"{counted}; geometry not verified: {geometry.doubt.reason}; {geometry.doubt.remedy}"
             judged = replace(judged, verdict=Verdict.UNVERIFIED, reason=reason)
-        judged = _with_motion(judged, evidence)
+    judged = _with_motion(judged, evidence)
     return replace(_with_islands(judged, decoded), changed_limits=limits.changes())
 
 

@@ -310,7 +310,7 @@ class PartMotionLimits(NamedTuple):
     min_power_ratio: float = 1.5
     """How many times more frames at rest must leave than followed ones. Chosen: chance makes 1.2 of it."""
     min_variance: float = 1e-3  # of a level, in grey levels squared; less is rounding (chosen)
-    passes: int = 3  # each with distances of the one before (chosen)
+    passes: int = 6  # at most, each with distances of the one before (chosen: later ones change little)
     median_px: int = 9
     """Side of the square whose median is its distance. Chosen: beyond waves by motion."""
     trial_pixels: int = 300  # pixels by which displacements to begin with are compared (chosen)

@@ -8,6 +8,8 @@ import pytest
 from benchmarks.motion import DIRECTIONS, FOUR_STEPS, PLANS, MovingScene, measured, period_mm
 from fpplab.core.progress import no_progress
 from fpplab.diagnosis import Diagnosis, diagnose_scan
+from fpplab.patterns.motion import Compensation, PartMotion
+from fpplab.phase import decode
 from fpplab.pipeline.triangulating import triangulate_recording
 from fpplab.reconstruction.motion import _Follower, _part_motion, _Region, _Tiles, compensate_motion
 from tests.diagnosis.scenes import Bench, plan_of
@@ -100,6 +102,17 @@ def test_a_part_whose_orders_scatter_is_not_good(way: str, seed: int) -> None:
     scene = MovingScene(plan, (float(moved[0]), float(moved[1]), float(moved[2])), seed)
     told = measured(scene, compensate_motion(scene.recording(), scene.rig)).told
     assert told.startswith("verdict: doubtful: motion: ")
+
+
+@pytest.mark.whole
+def test_a_motion_is_told_where_it_leaves_no_points() -> None:
+    scene = MovingScene(FOUR_STEPS, seed=SEED)
+    part = PartMotion((1.4, 0.0, -2.4), 0.01, -0.58, (160, 120), 15_000, 2.0, 0.1, is_compensated=False)
+    still = np.ones(scene.surface(0.0)[2].shape, np.float32)
+    recording = replace(scene.recording(), motion=Compensation((part,), still, 0 * still))
+    told = diagnose_scan(recording, decode(recording), None, scene.rig).sentence
+    assert "moved by 2.78 mm (+1.40, +0.00, -2.40) over the scan" in told
+    assert told.endswith("it is not compensated, since its frames do not allow it")
 
 
 @pytest.mark.whole

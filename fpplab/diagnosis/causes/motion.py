@@ -11,6 +11,8 @@ from fpplab.patterns.motion import PartMotion
 from fpplab.phase.drift import PointingDrift, phase_ramp, ramp_error_rad
 from fpplab.phase.limits import MOTION as LIMITS
 
+NOT_COMPENSATED = "; it is not compensated, since its frames do not allow it"
+
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     recording, cloud = evidence.recording, evidence.cloud
@@ -37,16 +39,19 @@ def _um_per_px(evidence: Evidence) -> float:
 
 def describe_motion(evidence: Evidence, part: PartMotion) -> str:
     """Say how far a part moved, and what of the error by that is left."""
-    um_per_px, (x, y, z) = _um_per_px(evidence), part.moved_mm
+    x, y, z = part.moved_mm
     length, (column, row) = float(np.linalg.norm(part.moved_mm)), part.middle_px
     text = (
         f"the part about pixel {column}, {row} moved by {length:.2f} mm ({x:+.2f}, {y:+.2f}, {z:+.2f}) over "
         f"the scan, {abs(part.fringes):.2f} of the finest fringes"
     )
-    off_um, left_um = um_per_px * part.error_px, um_per_px * part.left_px
+    text += "; it is compensated" if part.is_compensated else NOT_COMPENSATED
+    if not evidence.has_points:
+        return text
+    off_um, left_um = (_um_per_px(evidence) * px for px in (part.error_px, part.left_px))
     if part.is_compensated:
-        return f"{text}; it is compensated: of {off_um:.0f} µm by that, {left_um:.1g} µm are left"
-    return f"{text}; it is not compensated, since its frames do not allow it, and costs {off_um:.0f} µm"
+        return f"{text}: of {off_um:.0f} µm by that, {left_um:.1g} µm are left"
+    return f"{text}, and costs {off_um:.0f} µm"
 
 
 def unseen_motion(evidence: Evidence) -> str:
