@@ -17,6 +17,7 @@ from docs.generate.pages import DOCS, ROOT
 from docs.generate.reference import PAGES
 from docs.generate.running import PICTURES
 
+SEARCH = Path(__file__).with_name("search_from_disk.js")
 WITHOUT_PICTURES = "*Pictures appear once `make docs` has made them.*\n\n"
 """Told at the head of pages that are read in a clone."""
 
@@ -35,6 +36,8 @@ def on_files(files: Files, *, config: Any) -> Files:
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
     """Show links to files of the sources, which are not on the site, as their paths; it has the pictures."""
     markdown = markdown.replace(WITHOUT_PICTURES, "")
+    if page.file.src_uri.startswith("decisions/"):
+        page.meta["search"] = {"boost": 0.1}  # behind the pages that a user reads
     here = (DOCS / page.file.src_uri).parent
 
     def plain(found: re.Match[str]) -> str:
@@ -50,5 +53,6 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> 
 
 
 def on_post_page(output: str, *, page: Any, config: Any) -> str:
-    """Leave out the script that the theme would fetch to search pages from the disk: nothing is fetched."""
-    return re.sub(r'<script src="https://unpkg\.com/[^"]+"></script>', "", output)
+    """Put in what searches pages from the disk, in place of the script that the theme would fetch for it."""
+    own = f"<script>{SEARCH.read_text(encoding='utf-8')}</script>"
+    return re.sub(r'<script src="https://unpkg\.com/[^"]+"></script>', lambda _: own, output)

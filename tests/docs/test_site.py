@@ -66,6 +66,19 @@ def test_the_site_shows_its_pages(site: Path, browser: Browser) -> None:
 
 
 @pytest.mark.nightly
+def test_the_site_is_searched_from_the_disk(site: Path, browser: Browser) -> None:
+    """By a word that only the glossary and the commands have: what others call a characterisation."""
+    browser.open(site / "index.html", *WIDTHS["wide"])
+    browser.until("!document.querySelector('.md-search').hidden")
+    browser.run(
+        "{const q = document.querySelector('input[name=query]'); document.querySelector('#__search').click();"
+        "q.value = 'calibrate'; for (const kind of ['input', 'keyup']) q.dispatchEvent(new Event(kind))}"
+    )
+    browser.until("document.querySelectorAll('.md-search-result__item').length > 2")
+    assert browser.faults() == []
+
+
+@pytest.mark.nightly
 def test_reports_of_the_tutorial_are_shown(browser: Browser) -> None:
     folder = run_once(DOCS / "tutorial" / "first-scan.md")
     for width, (across, down) in WIDTHS.items():
