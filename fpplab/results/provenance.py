@@ -40,7 +40,7 @@ LABELS = {
     "calibration": "Calibration",
     "calibration_made": "Calibration made",
     "calibration_poses": "Its poses taken",
-    "calibration_age": "Its age at the measurement",
+    "calibration_age": "Calibration age",
     "calibration_rms": "Its RMS errors",
     "calibration_devices": "Its devices",
     "host": "Computer that measured",
@@ -227,7 +227,7 @@ def written_now() -> dict[str, str | None]:
 
 def _age(length: timedelta) -> str:
     text = duration_text(abs(length))
-    return text if length >= timedelta() else f"none, it was made {text} after the measurement began"
+    return text if length >= timedelta() else f"made {text} after the measurement began"
 
 
 def _compare_devices(calibration: CalibrationOrigin, measured: SessionOrigin | None) -> str | None:
