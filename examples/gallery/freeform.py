@@ -48,7 +48,6 @@ shaded = LightSource(315, 40).shade(surface, plt.get_cmap("viridis"), None, "sof
 shaded[np.isnan(scan.error_um)] = 1.0
 
 figure = plt.figure(figsize=(8.6, 7.6), layout="constrained")
-figure.get_layout_engine().set(h_pad=0.12)
 left, middle, right = (figure.add_subplot(place) for place in (221, 222, 212))
 left.imshow(scan.frames[-1], cmap="gray", vmin=0, vmax=255)
 left.set_title("camera image")
@@ -56,8 +55,7 @@ middle.imshow(shaded)
 middle.set_title(f"surface, {surface.max():.0f} mm high")
 shown = right.imshow(scan.error_um, cmap="RdBu_r", vmin=-30, vmax=30)
 figure.colorbar(shown, ax=right, label="µm")
-median = np.nanmedian(np.abs(scan.error_um))
-right.set_title(f"error: median {median:.0f} µm,\n{100 * inside:.0f} % in their 95 % interval")
+right.set_title(f"error, {100 * inside:.0f} % in their 95 % interval")
 for axis in (left, middle, right):
     axis.axis("off")
     axis.set(xlim=scan.columns, ylim=scan.rows[::-1])
