@@ -78,7 +78,9 @@ def test_settings_that_were_changed_are_named(tmp_path: Path, caplog: pytest.Log
         assert "projector: LED polarity was {'inverted': 1}, is set to {'inverted': 0}" in caplog.text
 
 
-@pytest.mark.parametrize("count", [15, pytest.param(1000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "count", [15, pytest.param(1000, marks=[pytest.mark.nightly, pytest.mark.timeout(1800)])]
+)
 def test_sessions_over_the_video_port_do_not_freeze_the_board(count: int, tmp_path: Path) -> None:
     bench = VideoBench(greys(2), tmp_path)
     for _ in range(count):
