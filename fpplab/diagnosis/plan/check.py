@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fpplab.calibration.model import Calibration
-from fpplab.core.conventions import AXES
+from fpplab.core.conventions import AXES, full_scale
 from fpplab.core.errors import ConfigError
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.plan.bend import Bend, fitted_bends
@@ -39,9 +39,9 @@ from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import decode
 
-MAX_LEVEL = 65535  # full scale of frames with a response straightened: 16 bits, so that rounding adds nothing
 TROUGH, CREST = 0.25, 0.65
-"""Level of zero, and range of grey levels above it, as shares of that full scale. Chosen."""
+"""Level of zero, and range of grey levels above it, as shares of full scale where a response is straightened.
+Chosen."""
 EVERY_ORDER = {"order_vote": None, "masks": MaskRules(disagreement_max=0.5, wrong_order_max=1.0)}
 """Of plans that are tried: a pixel left out for a doubtful order would count as one that contradicts."""
 MAX_EQUAL_ORIGIN_RAD = 0.1  # phase origins that are the same (chosen: a sixtieth of a stripe)
@@ -135,9 +135,9 @@ def straightened(
     if straight is None:
         return None
     levels = [bend.straightened_levels(part) for bend, part in zip(bends, parts, strict=True)]
-    # Without harmonics the troughs lie below zero.
+    # Without harmonics the troughs lie below zero, and at 16 bits rounding adds nothing.
     shares = TROUGH + CREST * np.concatenate(levels) / full
-    deep = np.rint(MAX_LEVEL * shares.clip(0.0, 1.0)).astype(np.uint16)
+    deep = np.rint(full_scale(16) * shares.clip(0.0, 1.0)).astype(np.uint16)
     return replace(sampled, frames=list(deep), bits=16, merged=None), straight, bends
 
 
