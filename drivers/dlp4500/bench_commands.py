@@ -170,7 +170,7 @@ def _led_limits(rig: str | None) -> dict[str, int]:
 
 @dlp4500.command("test-pattern")
 def show_test_pattern(
-    name: Annotated[str, typer.Argument(help="solid, grid, checker …, or off.")],
+    name: Annotated[str, typer.Argument(help="solid, grid, checker and others, or off.")],
     serial: ProjectorSerialOption = None,
     echo: EchoOption = True,
     json: Json = False,

@@ -89,7 +89,7 @@ def match_command(
 ) -> None:
     """Match a twin to a bench, using only recordings of the bench.
 
-    Matches the gamma first, then the characterisation by minimising `L = α log(1 + |ε_d|) + β (1 - SSIM)`,
+    Matches the gamma first, then the characterisation by minimising `L = a log(1 + |ε_d|) + b (1 - SSIM)`,
     then the surfaces of parts: reflectance and gloss of each part, as opposed to those of the board's paper.
     OUT contains the matched twin (`rig.yaml`, accepted by every command), `match.jsonl` with every epoch,
     and `report.html`. `verdict` says whether the twin can be trusted, `findings` why not; an unusable twin

@@ -224,3 +224,13 @@ def test_all_groups_fit_one_screen_and_rare_commands_work_by_both_names() -> Non
             assert (alone.help, [each.opts for each in alone.params]) == (
                 inside.help, [each.opts for each in inside.params],
             )  # fmt: skip
+
+
+def test_help_fits_the_code_page_of_a_windows_console() -> None:
+    root = get_command(app)
+    for path in PATHS:
+        command = root
+        for word in path:
+            command = command.commands[word]  # type: ignore[attr-defined]
+        texts = [command.help, *(getattr(each, "help", None) for each in command.params)]
+        assert all((text or "").encode("cp437") for text in texts if text), path

@@ -74,6 +74,21 @@ def test_a_scan_of_the_twin_is_the_same_without_what_only_linux_has(tmp_path: Pa
     assert linux == windows
 
 
+@pytest.mark.whole
+@pytest.mark.parametrize("words", [["plan", "guess", "--help"], ["artefact", "pyramid", "--out", "p.stl"]])
+def test_signs_that_a_code_page_lacks_are_replaced(tmp_path: Path, words: list[str]) -> None:
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(commands.ROOT),
+        "PYTHONIOENCODING": "cp437",
+        "COLUMNS": "60",
+    }
+    command = [sys.executable, "-P", "-m", "fpplab", *words]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.decode("cp437")
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     "words",

@@ -55,7 +55,7 @@ def verify_command(
 
     It needs a ball bar and a plane. Probing error of form PF and of size PS, sphere-spacing error SD and
     flatness measurement error F, each in µm with its maximum permissible error. PF and F are the range of the
-    points without the 3 ‰ farthest from the fit; PF_all and F_all, also given, the range of all points. The
+    points without the 0.3 % farthest from the fit; PF_all and F_all, also given, the range of all points. The
     angle of incidence up to which points of a sphere count, 60° by default, is part of the result. `verdict`
     says whether the system can be trusted, `findings` why not. A failed test is a result, not an error: the
     exit code is 0 and `passed` is false; if an error is ten times the permissible one the exit code is 4.
