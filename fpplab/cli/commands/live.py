@@ -62,9 +62,9 @@ def live_command(
 ) -> None:
     """Set up a rig live: focus, exposure, overlap and coverage.
 
-    All figures follow at the camera's frame rate. Use the keys in the terminal or the buttons of a browser
-    page whose address is printed. Other fpplab commands that need the rig get it at once: `live` closes the
-    devices and continues afterwards. Quitting leaves the projector dark.
+    All figures are updated at the camera's frame rate. Use the keys in the terminal or the buttons of a
+    browser page whose address is printed. Other fpplab commands that need the rig get it at once: `live`
+    closes the devices and continues afterwards. Quitting leaves the projector dark.
 
     Keys: `a` sets the recommended exposure, `+` `-` change exposure, `>` `<` gain; `m` measures with
     fringes, `w` shows white, `b` black, `c` `f` coarse and fine fringes, `k` a checkerboard, `x` a cross;
