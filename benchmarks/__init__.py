@@ -27,7 +27,7 @@ class Result:
 
 def below(name: str, value: float, unit: str, limit: float) -> Result:
     """Put a figure beside what it must not exceed."""
-    return Result(name, value, unit, limit, limit / max(value, 1e-9))
+    return Result(name, value, unit, limit, max(limit, 1e-9) / max(value, 1e-9))
 
 
 def above(name: str, value: float, unit: str, least: float) -> Result:

@@ -50,6 +50,7 @@ WEAK_UNNAMED, WEAK_WITHIN = (
     1.6,
     1.5,
 )  # what is not named at most; cost said over the true one, and the inverse
+LONG_WALL_MM = 20.0  # from which the cost is judged; light in a smaller groove bends all wide sets alike
 TIMES_FLATTER, WITHIN = 5.0, 1.3
 TWIN_SAMPLES, TWIN_MARGIN_PX = 256, 3
 
@@ -258,7 +259,7 @@ def _of_weak_light() -> Iterator[Result]:
             cloud, judged = scanned_groove(groove, plan)
             over = measured_flatness(groove, cloud).over_stated
             local = [f for f in judged.findings if f.cause.key == "interreflection" and "costs" in f.evidence]
-            if local:
+            if local and groove.wall_mm >= LONG_WALL_MM:
                 costs.append(float(np.hypot(1.0, local[0].excess)) / over)
             elif not judged.findings:
                 unnamed.append(over)

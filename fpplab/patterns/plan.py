@@ -489,11 +489,6 @@ class Plan(Document):
         return self.fringes[self.finest_set()]
 
     @property
-    def most_stripes(self) -> float:
-        """Stripes of the finest of all sets, along any axis."""
-        return max(fringe.stripes for fringe in self.fringes)
-
-    @property
     def set_starts(self) -> tuple[int, ...]:
         """Indices of each set's first image, and of what would follow the last set, (S + 1,)."""
         return tuple(accumulate((each.images for each in self.sets), initial=0))
