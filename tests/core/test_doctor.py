@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fpplab.core import doctor, host
+from fpplab.core import doctor
 from fpplab.core.doctor import DoctorFinding
 from fpplab.core.extras import EXTRAS
 from tests.support.commands import Command
@@ -27,7 +27,7 @@ def test_it_answers_with_checks_and_versions(fpplab: Command, tmp_path: Path) ->
 
 def test_a_missing_package_of_the_core_is_wrong_and_an_extra_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
     lines = ["numpy<2,>=1.26", "none-such>=1", "rerun-sdk>=1; extra == 'viewer'", "ruff; extra == 'dev'"]
-    monkeypatch.setattr(host.metadata, "requires", lambda name: lines)
+    monkeypatch.setattr(metadata, "requires", lambda name: lines)
     monkeypatch.setattr(doctor, "find_spec", lambda name: None if name == "rerun" else name)
     core, *extras = doctor.check_packages()
     assert (core.state, core.seen) == ("wrong", "without none-such")
