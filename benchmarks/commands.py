@@ -61,7 +61,8 @@ def every_command(command: Any, before: list[str]) -> Iterator[tuple[list[str], 
             continue
         kind = parameter.type_descriptor.annotation
         is_name = kind in (str, Path, list[Path])
-        needs_input = needs_input or (is_name and parameter.name != "out")
+        is_output = parameter.name == "out" or words == ["sample"]
+        needs_input = needs_input or (is_name and not is_output)
         value = MISSING if is_name else str(next(iter(kind))) if isinstance(kind, type(StrEnum)) else "1"
         option = [parameter.opts[0]] if parameter.param_type_name == "option" else []
         words += [*option, *[value] * max(parameter.nargs, 1)]

@@ -20,6 +20,8 @@ IN_THE_HEAD = ("rig", "item", "plan", "taken", "calibration", "calibration_age")
 """Of a page's one provenance, what its head says too."""
 GENERATOR, LONGEST_HEAD = b'<meta name="generator" content="fpplab">', 1024
 """By what a page is known as ours, and within how many bytes."""
+UNFINISHED = b'<meta name="generator" content="fpplab"><meta name="fpplab" content="unfinished">'
+"""The head of a page whose run has not drawn it yet, or was ended before."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +64,28 @@ def write_page(
     write_text(path, page)
 
 
+def begin_page(path: Path) -> None:
+    """Leave a page that says that it is not drawn yet, so that a result without a report is known as such."""
+    write_text(
+        path, f"<!DOCTYPE html>{UNFINISHED.decode()}<p>The run that draws this report has not ended.\n"
+    )
+
+
+def is_unfinished(path: Path) -> bool:
+    return _begins_with(path, UNFINISHED)
+
+
 def is_report(path: Path) -> bool:
     """Tell whether a file is a page that this module wrote."""
     # Commands write their page before their result, so a page alone is of a run that was ended between.
+    return _begins_with(path, GENERATOR)
+
+
+def _begins_with(path: Path, mark: bytes) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as stream:
-        return GENERATOR in stream.read(LONGEST_HEAD)
+        return mark in stream.read(LONGEST_HEAD)
 
 
 def _environment() -> Environment:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -78,13 +78,31 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
         observer.result(result)
         saved = None if result.diagnosis.is_useless else request.out
         if saved is not None and result.cloud is not None:
-            save_cloud(result.cloud, saved)
+            with _begun_page(request.page):
+                save_cloud(result.cloud, saved)
     if request.page is not None:
         from fpplab.report.scans import write_scan_report
 
-        with observer.stage("Drawing the report"), removed_on_failure(saved) if saved else nullcontext():
+        with (
+            observer.stage("Drawing the report"),
+            removed_on_failure(saved) if saved else nullcontext(),
+            removed_on_failure(request.page),
+        ):
             write_scan_report(request.page, result)
     return result
+
+
+@contextmanager
+def _begun_page(page: Path | None) -> Iterator[None]:
+    """Leave a page without a report while there is none: a cloud beside it is of a run that was ended."""
+    if page is None or page.exists():
+        yield
+        return
+    from fpplab.report.page import begin_page
+
+    begin_page(page)
+    with removed_on_failure(page):
+        yield
 
 
 def check_output(request: ReconstructionRequest) -> None:
@@ -95,10 +113,13 @@ def check_output(request: ReconstructionRequest) -> None:
     if request.out is None:
         return
     need_suffix(request.out, *CLOUD_SUFFIXES)
-    refuse_existing(request.out, request.force)
-    if request.page is not None and not request.force and request.page.exists():
-        from fpplab.report.page import is_report
+    page_exists = request.page is not None and not request.force and request.page.exists()
+    if request.page is None or not page_exists:
+        refuse_existing(request.out, request.force)
+    else:
+        from fpplab.report.page import is_report, is_unfinished
 
+        refuse_existing(request.out, is_unfinished(request.page))
         refuse_existing(request.page, is_report(request.page))  # which useless points had alone
 
 
