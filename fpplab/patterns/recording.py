@@ -90,6 +90,8 @@ class Recording:
         When each frame was taken; empty where nobody knows, and frames follow evenly.
     motion : Compensation or None
         How parts moved, where frames are given as those of parts at rest.
+    rows : ndarray of int, (height,), or None
+        Which rows of the camera's image the frames consist of; None for all of them.
     """
 
     frames: Sequence[Image]
@@ -106,6 +108,7 @@ class Recording:
     bayer: Bayer | None = None
     times_s: tuple[float, ...] = ()
     motion: Compensation | None = None
+    rows: NDArray[np.intp] | None = None
 
     def __repr__(self) -> str:
         height, width = self.frames[0].shape if self.frames else (0, 0)

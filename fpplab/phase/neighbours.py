@@ -41,29 +41,42 @@ _SQUARE_OF_BEND = 6.0  # variance of the second difference of independent values
 class Tiles:
     """Whole tiles of a recording's frames, spread over the image."""
 
-    levels: Floats  # (K, T, side, side) grey levels of every frame
-    usable: Mask  # (T, side, side) pixels that no frame shows saturated or, unless few remain, black
+    levels: Floats  # (K, T, height, side) grey levels of every frame
+    usable: Mask  # (T, height, side) pixels that no frame shows saturated or, unless few remain, black
 
     @classmethod
     def of(cls, recording: Recording, saturation: int) -> Tiles | None:
         """Cut tiles out of the frames; None where these are too small."""
-        side = NEIGHBOURS.tile_px
-        shape = recording.frames[0].shape
-        counts = [min(NEIGHBOURS.tiles_along, size // side) for size in shape]
-        if not all(counts):
+        side, (rows, columns) = NEIGHBOURS.tile_px, recording.frames[0].shape
+        if min(rows, columns) < side:
             return None
-        # Each in the middle of an equal part of the image.
-        tops, lefts = (
-            (size * (np.arange(n) + 0.5) / n - 0.5 * side).astype(int)
-            for size, n in zip(shape, counts, strict=True)
-        )
+        tops, height = _spread_tiles(rows, side), side
+        if recording.rows is not None:
+            tops, height = _tiles_in_bands(recording.rows, side)
+        lefts = _spread_tiles(columns, side)
         raw = np.array(
-            [[f[v : v + side, u : u + side] for v in tops for u in lefts] for f in recording.frames]
+            [[f[v : v + height, u : u + side] for v in tops for u in lefts] for f in recording.frames]
         )
         bright = np.asarray((raw < saturation).all(axis=0))
         unclipped = bright & (raw > 0).all(axis=0)
         usable = unclipped if unclipped.sum() >= NEIGHBOURS.min_pixels else bright
         return cls(raw * np.float32(recording.grey), usable)
+
+
+def _spread_tiles(size: int, side: int) -> NDArray[np.intp]:
+    """Where tiles begin, each in the middle of an equal part of the image."""
+    count = min(NEIGHBOURS.tiles_along, size // side)
+    return (size * (np.arange(count) + 0.5) / count - 0.5 * side).astype(np.intp)
+
+
+def _tiles_in_bands(rows: NDArray[np.intp], side: int) -> tuple[NDArray[np.intp], int]:
+    """Where tiles begin that lie within bands of rows, and how high they are."""
+    begins = np.flatnonzero(np.diff(rows, prepend=-2) != 1)
+    lengths = np.diff(begins, append=len(rows))
+    height = min(side, int(lengths.min()))
+    count = min(len(begins), NEIGHBOURS.tiles_along * side // height)
+    chosen = ((np.arange(count) + 0.5) * len(begins) / count).astype(np.intp)
+    return begins[chosen] + (lengths[chosen] - height) // 2, height
 
 
 def with_errors_of_neighbours(
@@ -180,7 +193,7 @@ class _PhasesInTiles:
         Offsets tell whether frames were filtered, but not by how much phases scatter: a filter changes the
         offset of coarse fringes otherwise than that of fine ones.
         """
-        # shapes (3, T, side, side)
+        # shapes (3, T, height, side)
         if not _are_correlated(self._change_of_offset(others), self.used):
             return 1.0
         far = self._variance_of_distant_bends(strengths, shapes) or nearest
@@ -201,7 +214,7 @@ class _PhasesInTiles:
 
     def _mean_square_bend(self, apart: int, strengths: Floats, shapes: Floats) -> float:
         """Mean square of the second differences of pixels some px apart, beyond edges and ripple."""
-        # strengths (3,); shapes (3, T, side, side)
+        # strengths (3,); shapes (3, T, height, side)
         near = [np.roll(self._bright, by, axis) for axis in _ALONG for by in (-apart, 0, apart)]
         used = _inner(np.all(near, axis=0), max(apart, 2))
         rest = [
@@ -214,7 +227,7 @@ class _PhasesInTiles:
 
     def _scatter(self, residuals: Floats, rest: Floats, kept: Mask) -> tuple[float, float]:
         """Variance of the phases beside residuals, and of these beside noise; 1 of independent neighbours."""
-        # residuals (R, T, side, side); rest (2, P); kept (2, P)
+        # residuals (R, T, height, side); rest (2, P); kept (2, P)
         count = len(self.levels)
         if not _are_correlated(residuals, self.used):
             return 1.0, 1.0

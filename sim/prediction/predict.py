@@ -242,7 +242,14 @@ class _Sampled:
         projector, name = self.calibration.projector, f"the sample of the {self.item}"
         size, lattice = projector.size, projector.lattice
         recording = Recording(
-            frames, self.plan, size, several[0].bits, name, lattice=lattice, bayer=self.rig.camera.caps.bayer
+            frames,
+            self.plan,
+            size,
+            several[0].bits,
+            name,
+            lattice=lattice,
+            bayer=self.rig.camera.caps.bayer,
+            rows=self.rows,
         )
         recording = merged_recording(recording, self.plan.exposures)
         decoded = self._placed(decode(recording, bounds=self._bounds_of_rows()))

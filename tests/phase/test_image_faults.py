@@ -68,6 +68,16 @@ def test_frames_as_the_sensor_gives_them_show_nothing() -> None:
         assert all(one.scatter == 1.0 and one.ripple_rad == 0.0 for one in errors.sets)
 
 
+def test_bands_of_rows_show_of_neighbours_what_the_whole_image_does() -> None:
+    """Rows of different bands are no neighbours, though they follow each other in the frames."""
+    scene = drawn_scene(23, (3,))
+    dark = [frame // 6 for frame in scene.frames]
+    rows = np.concatenate([np.arange(first, first + 18) for first in range(0, len(dark[0]) - 18, 36)])
+    bands = Recording([frame[rows] for frame in dark], scene.plan, PROJECTOR)
+    assert max(errors.scatter for errors in error_model_of(replace(bands, rows=rows)).sets) < 1.3
+    assert max(errors.scatter for errors in error_model_of(bands).sets) > 2.0
+
+
 def test_light_that_differs_by_phase_and_frame_is_no_filter() -> None:
     # Such as that of a projector whose period does not divide the exposure.
     scene, random = drawn_scene(23, (12,)), np.random.default_rng(24)
