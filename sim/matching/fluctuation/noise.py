@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from fpplab.core.conventions import Floats, Image
 from fpplab.patterns.fringe_sets import FringeSet
@@ -32,7 +33,7 @@ class NoiseLimits:
     """How the noise of bench and twin is compared."""
 
     poses: int = 4  # whose frames are compared, at most: each has all levels (chosen, for speed)
-    min_standard_errors: float = 3.0  # by which bench and twin must differ for a change of the twin (chosen)
+    max_chance: float = 0.01  # with which equal noise changes the twin (chosen)
     rounds: int = 2  # comparisons, each with the twin that the one before gave (chosen)
     probe_e: float = 5.0  # electrons; read noise whose effect on the levels is tried first (chosen)
     probe_factor: float = 4.0  # by which it grows until it shows (chosen)
@@ -94,12 +95,12 @@ def _bright_level(reference: Reference, pose: int) -> float:
 
 def _is_mean_significant(differences: Floats) -> bool:
     """Whether the mean of what several poses say differs from 0 by more than their scatter explains."""
-    if len(differences) < 2:
+    count = len(differences)
+    if count < 2:
         return False
-    return bool(
-        abs(differences.mean())
-        > LIMITS.min_standard_errors * differences.std(ddof=1) / np.sqrt(len(differences))
-    )
+    # Of few poses the scatter itself is hardly known: by Student's distribution.
+    reach = stdtrit(count - 1, 1.0 - 0.5 * LIMITS.max_chance)
+    return bool(abs(differences.mean()) > reach * differences.std(ddof=1) / np.sqrt(count))
 
 
 def _above_rounding(noise: NoiseModel, level: float) -> float:
