@@ -31,6 +31,7 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
+from fpplab.phase.exposures import merged_recording
 from fpplab.reconstruction.points import points_of
 from fpplab.targets import Target
 from sim.bench import VirtualBench
@@ -91,8 +92,23 @@ def measure_plane(plan: Plan) -> int:
     return len(cloud)
 
 
+def decode_code() -> Decoded:
+    """Decode a code that was taken at two exposures, from images as the projector shows them."""
+    fringes = ({"kind": "gray", "axis": "x", "bits": 5, "cell_px": 3.0}, {"kind": "even", "levels": (1, 0)})
+    plan = Plan.model_validate({"fringes": fringes, "exposures_s": (0.01, 0.02)})
+    noise = np.random.default_rng(0)
+    frames: list[Image] = [
+        np.rint(20.0 + share * pattern.image + noise.normal(0.0, 1.0, SIZE[::-1])).astype(np.uint8)
+        for share in (0.4, 0.8)
+        for pattern in make_patterns(plan, SIZE, Lattice.SQUARE)
+    ]
+    merged = merged_recording(Recording(frames, plan, SIZE), plan.exposures)
+    return decode(merged)
+
+
 def see_boards(plan: Plan) -> None:
     observe_board()
+    decode_code()
     with Rig.load("rig_matched") as twin:
         assert isinstance(twin.simulation, VirtualBench)
         patterns = make_patterns(plan, small_rig().projector.size, Lattice.SQUARE)[:1]

@@ -7,7 +7,15 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.reconstruction.points import triangulate
-from sim.warmup import DISTANCE_MM, SIZE, frames_of_plane, observe_board, small_rig, warm_up
+from sim.warmup import (
+    DISTANCE_MM,
+    SIZE,
+    decode_code,
+    frames_of_plane,
+    observe_board,
+    small_rig,
+    warm_up,
+)
 
 
 @pytest.mark.parametrize("plan", ["plan_paper", "plan_board"])
@@ -23,6 +31,14 @@ def test_every_point_of_the_board_is_observed_where_it_is() -> None:
     found = observe_board()
     assert len(found.ids) == 52
     np.testing.assert_allclose(found.projector_px, found.camera_px, atol=1e-6)
+
+
+def test_the_code_is_that_of_the_image() -> None:
+    u = decode_code().u
+    assert np.isfinite(u).mean() > 0.95
+    np.testing.assert_allclose(
+        u[np.isfinite(u)], np.broadcast_to(np.arange(SIZE[0]), u.shape)[np.isfinite(u)], atol=2.0
+    )
 
 
 @pytest.mark.whole
