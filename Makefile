@@ -10,7 +10,7 @@ PARALLEL := -n $(WORKERS) --dist worksteal
 # Without bytecode, every process of a test run would compile all modules and rewrite all assertions again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo docs lint test test-whole test-merge test-nightly test-twin test-usb
+.PHONY: help setup demo docs lint test test-whole test-nightly test-twin test-usb
 .PHONY: nightly crash fuzz soak mutants full-disk faults release bench clean
 
 # `make` alone installs nothing.
@@ -46,10 +46,6 @@ test: setup
 # What a merge waits for beside the quick tests.
 test-whole: setup
 	$(BIN)/python -m pytest -m 'whole and not nightly' $(PARALLEL)
-
-# Both, which collects the tests and starts what they share once.
-test-merge: setup
-	$(BIN)/python -m pytest -m 'not nightly' $(PARALLEL)
 
 # Repeats, rare conditions and long runs.
 test-nightly: setup
