@@ -24,11 +24,6 @@ from tests.support.ready_program import reuse_commands
 if TYPE_CHECKING:
     from sim.worker import Blender
 
-# In a parallel run a thread for each worker: more threads than cores wait for each other, spinning.
-if "PYTEST_XDIST_WORKER" in os.environ:
-    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-
 # Workers of a parallel run ignore Ctrl-C, as background jobs of a shell do, and what they start inherits it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

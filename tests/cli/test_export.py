@@ -87,7 +87,7 @@ def test_names_of_tables_lead_out_of_no_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["none.ply", "--out", "o.csv"], "none.ply: does not exist"),
+        (["none.ply", "--out", "o.csv"], "none.ply: there is no such file"),
         (["scan/cloud.ply", "--out", "o.txt"], "o.txt: its name must end in .ply, .xyz, .npz, .e57"),
         (["scan/cloud.ply", "--out", "scan/cloud.ply"], "scan/cloud.ply: exists already; name another"),
         (["scan/cloud.ply", "--out", "o.csv", "--layout", "ros"], "is no calibration"),

@@ -63,11 +63,13 @@ def test_the_demonstrations_page_is_small_enough_to_mail(demo: Demo) -> None:
 
 
 def test_wrong_use_of_report_is_told(fpplab: Command, tmp_path: Path) -> None:
-    for words, said in (
-        ((tmp_path / "a", "--out", tmp_path / "x.html"), "2 to 8"),
-        ((tmp_path / "a", tmp_path / "b", "--out", tmp_path / "x.pdf"), ".html"),
-        ((tmp_path / "a", tmp_path / "b", "--out", tmp_path / "x.html"), "there is no such session or cloud"),
+    for name in "ab":
+        (tmp_path / name).mkdir()
+    for words, said, code in (
+        ((tmp_path / "a", "--out", tmp_path / "x.html"), "2 to 8", 2),
+        ((tmp_path / "a", tmp_path / "b", "--out", tmp_path / "x.pdf"), ".html", 2),
+        ((tmp_path / "a", tmp_path / "c", "--out", tmp_path / "x.html"), "there is no such file", 4),
     ):
         done = fpplab("report", *words, "--json")
-        assert done.code == 2
+        assert done.code == code
         assert said in done.json["error"]

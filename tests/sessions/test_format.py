@@ -38,6 +38,13 @@ def test_it_is_read_as_it_is(number: int) -> None:
     assert session_faults(session.path) == []
 
 
+def test_a_session_of_version_0_2_0_is_read() -> None:
+    session = Session.open(DATA / "version_0_2_0" / "session")
+    assert session_faults(session.path) == []
+    assert [shown.kind for shown in session.plan.sets] == ["sinusoid", "gray", "even"]
+    assert len(session.stack()) == session.plan.images
+
+
 @pytest.mark.parametrize("number", RECORDED)
 def test_it_is_brought_to_the_present_format(number: int, tmp_path: Path) -> None:
     shutil.copytree(RECORDED[number], tmp_path / "s")
