@@ -210,7 +210,7 @@ def test_old_names_of_backends_go_on(run_installed: Run) -> None:
 @pytest.mark.parametrize(
     ("words", "extra"),
     [
-        (["view", "scan"], "viewer"),
+        (["view", "."], "viewer"),
         (["check", "--rig", "rig_bench"], "basler"),
         (["check", "--rig", "rig_demo"], "twin"),
         (["optimise", "pareto", "--rig", "rig_matched", "--out", "o"], "optimise"),
