@@ -50,9 +50,7 @@ def every_command(command: Any, before: list[str]) -> Iterator[tuple[list[str], 
     """List the words that start each command, and whether it is given input that does not exist."""
     if hasattr(command, "commands"):
         for name, each in command.commands.items():
-            if each.hidden:
-                continue  # a group shows it
-            if not each.hidden:  # shown below a group as well
+            if not each.hidden:  # a group shows those that are
                 yield from every_command(each, [*before, name])
         return
     words, needs_input = list(before), False

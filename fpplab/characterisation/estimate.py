@@ -8,7 +8,6 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation.bundle import adjust_bundle, estimate_uncertainty, fit_pose
@@ -18,6 +17,7 @@ from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, ImageSize, Model, Solution
 from fpplab.characterisation.problem import without_poses
 from fpplab.characterisation.zhang import matrix_of, rms
+from fpplab.core.blas import one_blas_thread
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.geometry import RigidTransform
 from fpplab.targets import Target
@@ -37,7 +37,7 @@ class JointEstimate:
     @cached_property
     def calibration(self) -> Calibration:
         """Both devices with their covariance, and the board."""
-        with threadpool_limits(limits=1, user_api="blas"):
+        with one_blas_thread():
             covariance = estimate_uncertainty(self.observations, self.solution, self.model, self.sizes)
         pairs = [self.solution.residuals(k, o) for k, o in enumerate(self.observations)]
         cameras, projectors = zip(*pairs, strict=True)
@@ -50,7 +50,7 @@ class JointEstimate:
     def covariance(self) -> Floats:
         """Covariance (n, n) of the devices without the board's scale, which no pose determines."""
         exact = replace(self.model, scale_tolerance=0.0)
-        with threadpool_limits(limits=1, user_api="blas"):
+        with one_blas_thread():
             return estimate_uncertainty(self.observations, self.solution, exact, self.sizes).covariance
 
     def with_pose(self, observation: Observation) -> JointEstimate:
@@ -75,7 +75,7 @@ class JointEstimate:
         return [RigidTransform.from_vectors(p[:3], p[3:]) for p in self.solution.poses]
 
     def _fitted(self, observations: tuple[Observation, ...], start: Solution) -> JointEstimate:
-        with threadpool_limits(limits=1, user_api="blas"):
+        with one_blas_thread():
             solution, sizes = adjust_bundle(observations, start, self.model, first=self.sizes)
         return replace(self, observations=observations, solution=solution, sizes=sizes)
 
@@ -92,6 +92,6 @@ def first_estimate(
     # image_sizes (width, height) px
     odd: dict[str, str] = {}
     model = model_of(target, image_sizes, level, refined, limits)
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         kept, (solution, sizes), _ = settled(observations, target, model, odd)
     return JointEstimate(target, lattice, model, tuple(kept), solution, sizes), odd

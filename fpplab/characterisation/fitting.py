@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, t
-from threadpoolctl import threadpool_limits
 
 from fpplab.calibration.board import FittedBoard, FittedErrors
 from fpplab.calibration.model import Calibration, Uncertainty
@@ -50,6 +49,7 @@ from fpplab.characterisation.zhang import (
     transform,
 )
 from fpplab.core import config
+from fpplab.core.blas import one_blas_thread
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import CalibrationError, UndeterminedError
 from fpplab.core.geometry import Pinhole
@@ -106,7 +106,7 @@ def characterise(
     busy machine for minutes.
     """
     # camera_size (width, height) px; projector_size (width, height) px
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         sizes = (camera_size, projector_size)
         chosen = DEFAULT_LEVEL if level == "auto" else level
         model = model_of(target, sizes, chosen, refine_board is not False, limits)

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from threadpoolctl import threadpool_limits
 
 from fpplab.characterisation.estimate import JointEstimate
 from fpplab.characterisation.observation import Observation
@@ -32,6 +31,7 @@ from fpplab.characterisation.parameters import (
 from fpplab.characterisation.pose_effects import FUNCTIONS, effects_of_pose
 from fpplab.characterisation.problem import Problem
 from fpplab.characterisation.working_volume import WorkingVolume
+from fpplab.core.blas import one_blas_thread
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from fpplab.targets.limits import TARGET_LIMITS
@@ -112,7 +112,7 @@ class Design:
 
 def best_pose(design: Design, candidates: Sequence[RigidTransform]) -> tuple[int, float]:
     """Choose the candidate that lessens the uncertainty of form most."""
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         predicted = np.array([design.predicted_mm(pose) for pose in candidates])
     best = int(np.argmin(predicted.prod(axis=1)))
     return best, float(predicted[best, 1])

@@ -10,7 +10,7 @@ import numpy as np
 
 from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.clouds import Cloud, save_cloud
-from fpplab.core.blas import on_one_blas_thread
+from fpplab.core.blas import one_blas_thread
 from fpplab.core.checksums import write_recorded
 from fpplab.core.conventions import Axis
 from fpplab.core.depth import DepthInterval, DepthRange
@@ -45,7 +45,7 @@ class Reconstruction:
     diagnosis: Diagnosis
 
 
-@on_one_blas_thread
+@one_blas_thread()
 def reconstruct_points(
     session: Session,
     calibration: Calibration,
@@ -64,7 +64,7 @@ def reconstruct_points(
     return decoded, _with_sigmas(recording, decoded, points, calibration, progress)[0]
 
 
-@on_one_blas_thread
+@one_blas_thread()
 def reconstruct_session(
     session: Session,
     calibration: Calibration,
@@ -90,7 +90,7 @@ def reconstruct_session(
     return Reconstruction(session, calibration, recording.depth, decoded, cloud, diagnosis)
 
 
-@on_one_blas_thread
+@one_blas_thread()
 def finish_scan(
     session: Session,
     calibration: Calibration,

@@ -3,7 +3,7 @@
 import numpy as np
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from fpplab.core.blas import on_one_blas_thread
+from fpplab.core.blas import one_blas_thread
 
 
 def _threads() -> set[int]:
@@ -14,5 +14,5 @@ def _threads() -> set[int]:
 def test_blas_works_on_one_thread_within_and_on_as_many_as_before_behind() -> None:
     with threadpool_limits(limits=2, user_api="blas"):
         before = _threads()
-        assert on_one_blas_thread(_threads)() == {1}
+        assert one_blas_thread()(_threads)() == {1}
         assert _threads() == before
