@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.emulators.grbl import GrblPolicy, GrblState, Rail
+from drivers.emulators.grbl import GrblController, GrblPolicy, GrblState, Rail
 from drivers.emulators.grbl.drive import DEFAULTS
 from drivers.emulators.grbl.gcode import Modes
 from drivers.stage_grbl import GrblStage, device, wire
@@ -290,6 +290,18 @@ def test_a_hold_by_somebody_else_is_reported(bench: Bench) -> None:
     bench.at_mm(50.0, lambda: bench.controller.receive(b"!"))
     with pytest.raises(DeviceError, match="is in state 'Hold' and does not move"):
         stage.move_to(100.0)
+
+
+def test_a_held_move_does_not_end_however_late_the_emulator_is_called() -> None:
+    clock = [0.0]
+    controller = GrblController(lambda: clock[0], {22: 0})
+    controller.drive.call_at(-50.0, lambda: controller.receive(b"!"))
+    controller.receive(b"G90G21G53G0X-100\nG4P0\n")
+    controller.poll()
+    clock[0] = 3600.0
+    assert controller.poll() == b"", "the pause after the move is not over"
+    controller.receive(b"?")
+    assert controller.poll().startswith(b"<Hold:0|")
 
 
 def test_a_move_cut_short_is_noticed(bench: Bench) -> None:

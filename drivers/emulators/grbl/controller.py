@@ -55,6 +55,7 @@ class GrblController:
         self.drive = Drive(self.settings, rail or Rail())
         self.alter_line: Callable[[str], str] = lambda line: line
         self._output = bytearray()
+        self._advancing = False
         self.power_cycle()
 
     def receive(self, data: bytes) -> None:
@@ -130,7 +131,15 @@ class GrblController:
     # --- motion in time
 
     def _advance(self) -> None:
-        now = self._clock()
+        if self._advancing:
+            return  # an action at a crossing sends bytes: they arrive while the motion is under way
+        self._advancing = True
+        try:
+            self._advance_to(self._clock())
+        finally:
+            self._advancing = False
+
+    def _advance_to(self, now: float) -> None:
         if self._homed_s is not None and now >= self._homed_s:
             self._end_homing()
         while motion := self.drive.motion:
