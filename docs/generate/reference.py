@@ -11,6 +11,7 @@ from pydantic import BaseModel
 
 import fpplab
 from docs.generate.pages import DOCS
+from docs.generate.tables import causes_page, faults_page, field_reports_page
 from fpplab.calibration.model import CalibrationFile
 from fpplab.cli.app import RARE
 from fpplab.cli.every import app
@@ -246,6 +247,9 @@ PAGES = {
     "reference/commands.md": commands_page,
     "reference/files.md": files_page,
     "reference/api.md": api_page,
+    "reference/causes.md": causes_page,
+    "reference/faults.md": faults_page,
+    "reference/field-reports.md": field_reports_page,
     "decisions/index.md": decisions_page,
 }
 """Generated pages by their path in the documentation."""

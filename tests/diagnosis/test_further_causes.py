@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from docs.generate.tables import causes_page
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Lattice, axis_length
 from fpplab.core.geometry import Pinhole
@@ -26,11 +27,9 @@ from tests.diagnosis.scenes import Bench as Scene
 from tests.diagnosis.test_diagnosis import measured, of_other
 from tests.support.faulty_bench import faulty
 
-VERDICTS = Path(__file__).parents[2] / "docs" / "verdicts.md"
-
 
 def test_the_table_of_causes_is_the_catalogue() -> None:
-    listed = re.findall(r"^\| `(\w+)` \|", VERDICTS.read_text(), re.MULTILINE)
+    listed = re.findall(r"^\| `(\w+)` \|", causes_page(), re.MULTILINE)
     assert sorted(listed) == sorted(known_causes())
 
 

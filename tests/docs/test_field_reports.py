@@ -1,26 +1,22 @@
-"""Every report of the page says how it is treated, and names a test that there is."""
-
-import re
+"""Every field report says how it is treated, and names a test that there is."""
 
 import pytest
 
-from tests.docs.test_write_a_driver import ROOT
+from docs.generate.pages import ROOT
+from docs.generate.tables import FIELD_REPORTS, field_reports_page, groups
 
-PAGE = ROOT / "docs" / "field-reports.md"
-ROWS = re.findall(
-    r"^\| \[([^\]]+)\]\((https://[^)]+)\) \| [^|]+ \| ([^|]+) \| `([^`:]+)::(\w+)` \|$",
-    PAGE.read_text(encoding="utf-8"),
-    re.MULTILINE,
-)
+ROWS = [row for group in groups(FIELD_REPORTS) for row in group["rows"]]
 
 
-def test_every_row_of_the_page_is_read() -> None:
-    lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| [")]
-    assert len(lines) == len(ROWS) > 15
-    assert len({url for _, url, *_ in ROWS}) == len(ROWS)
+def test_each_report_stands_once_and_on_the_page() -> None:
+    assert len({row["link"] for row in ROWS}) == len(ROWS) > 60
+    page = field_reports_page()
+    assert [row["link"] for row in ROWS if f"]({row['link']}) |" not in page] == []
 
 
-@pytest.mark.parametrize(("name", "url", "treatment", "file", "test"), ROWS, ids=[row[0] for row in ROWS])
-def test_it_is_treated_and_a_test_holds_it(name: str, url: str, treatment: str, file: str, test: str) -> None:
-    assert treatment.split(":")[0].split()[0] in ("prevented", "explained", "documented")
-    assert f"def {test}(" in (ROOT / file).read_text(encoding="utf-8")
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row["report"])
+def test_it_is_treated_and_a_test_holds_it(row: dict[str, str]) -> None:
+    assert set(row) == {"report", "link", "happened", "here", "test"}
+    assert row["here"].split(":")[0].split()[0] in ("prevented", "explained", "documented")
+    file, _, name = row["test"].partition("::")
+    assert f"def {name}(" in (ROOT / file).read_text(encoding="utf-8")

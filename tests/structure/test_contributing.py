@@ -8,9 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+PROMISES = yaml.safe_load((ROOT / "tests" / "docs" / "promises.yaml").read_text(encoding="utf-8"))
 COMMAND = '''
 """`fpplab hello`: greets."""
 
@@ -91,12 +93,14 @@ def test_a_material_is_added_by_one_file(tmp_path: Path) -> None:
     in_a_copy(tmp_path, "sim", "world/materials/chalk.py", CHALK, ["-c", ASK])
 
 
-@pytest.mark.parametrize("row", rows("## Promises"), ids=lambda row: row[0][:40])
-def test_what_shows_a_promise_exists(row: list[str]) -> None:
-    _, where, shown = row
-    assert all((ROOT / page).is_file() for page in re.findall(r"[\w/-]+\.md", where))
-    for file, name in re.findall(r"`pytest (tests/[\w/]+\.py)(?:::(\w+))?", shown):
+@pytest.mark.parametrize("row", PROMISES, ids=lambda row: row["promise"][:40])
+def test_what_shows_a_promise_exists(row: dict[str, str]) -> None:
+    pages = re.findall(r"[\w/-]+\.md", row["where"])
+    assert pages
+    assert all((ROOT / page).is_file() for page in pages)
+    program, _, words = row["shown_by"].partition(" ")
+    assert program in ("pytest", "python")
+    for file, name in re.findall(r"^(tests/[\w/]+\.py)(?:::(\w+))?", words):
         assert f"def {name or 'test_'}" in (ROOT / file).read_text(encoding="utf-8")
-    for name in re.findall(r"`python -m benchmarks (\w+)`", shown):
+    for name in re.findall(r"^-m benchmarks (\w+)", words):
         assert (ROOT / "benchmarks" / f"{name}.py").exists() or (ROOT / "benchmarks" / name).is_dir()
-    assert "`" in shown
