@@ -202,11 +202,40 @@ def _undistort_pixel(u: float, v: float, device: Numbers, reach: float) -> tuple
     return np.nan, np.nan
 
 
-@kernel(parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy", fastmath={"contract"})
 def _invert(camera: Numbers, reach: float, slopes: Floats) -> None:
-    for v in prange(slopes.shape[1]):
-        for u in range(slopes.shape[2]):
-            slopes[0, v, u], slopes[1, v, u] = _undistort_pixel(u, v, camera, reach)
+    _, height, width = slopes.shape
+    for block in prange((height + LIMITS.block_rows - 1) // LIMITS.block_rows):
+        first = block * LIMITS.block_rows
+        for v in range(first, min(first + LIMITS.block_rows, height)):
+            x, y = slopes[0, v], slopes[1, v]
+            x[:] = np.nan
+            if v > first:
+                _invert_from_above(v, slopes[0, v - 1], slopes[1, v - 1], camera, reach, x, y)
+            for u in range(width):
+                if np.isnan(x[u]):
+                    x[u], y[u] = _undistort_pixel(u, v, camera, reach)
+
+
+@kernel(error_model="numpy", fastmath={"contract"})
+def _invert_from_above(
+    v: int, above_x: Floats, above_y: Floats, camera: Numbers, reach: float, x: Floats, y: Floats
+) -> None:
+    """Undistort a row by two steps from the row above, without branches; NaN where it does not suffice."""
+    fx, fy, cx, lens = camera[0], camera[1], camera[2], camera[4:]
+    per_fx, per_fy, target_y = 1.0 / fx, 1.0 / fy, (v - camera[3]) / fy
+    for j in range(len(x)):
+        i = np.uintp(j)
+        target_x, a, b = (j - cx) * per_fx, above_x[i], above_y[i] + per_fy
+        for _ in range(2):
+            xd, yd, xx, xy, yy = _distort(a, b, lens)
+            ex, ey, per_determinant = target_x - xd, target_y - yd, 1.0 / (xx * yy - xy * xy)
+            a += (yy * ex - xy * ey) * per_determinant
+            b += (xx * ey - xy * ex) * per_determinant
+        xd, yd, xx, xy, yy = _distort(a, b, lens)
+        good = (abs(target_x - xd) * fx < PIXEL_TOLERANCE) & (abs(target_y - yd) * fy < PIXEL_TOLERANCE)
+        good &= (xx * yy > xy * xy) & (a * a + b * b < reach * reach)
+        x[i], y[i] = a if good else np.nan, b
 
 
 @kernel()

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import TWO_PI, Axis, Image, Map, full_scale
 from fpplab.core.robust import value_range
-from fpplab.report.map_sheet import MAP_PX, MapSheet, draw_maps, round_ticks
+from fpplab.report.map_sheet import MAP_PX, MapSheet, draw_maps, drawn_pixels, round_ticks
 from fpplab.report.raster import CloudLike, Extent, block_mean, raster_of, rasterise
 
 
@@ -36,14 +36,14 @@ def wrapped_phase_map(phase: Map, extent: Extent | None = None) -> bytes:
 
 
 def coordinate_map(values: Map, axis: Axis) -> bytes:
-    limits = value_range(values, 0.1, 99.9)
+    limits = value_range(drawn_pixels(values), 0.1, 99.9)
     label = f"projector {'u' if axis == 'x' else 'v'} in px"
     levels = [level for level, _ in round_ticks(*limits, 14)]
     return draw_maps(MapSheet(values, "viridis", limits, label, contours=levels))
 
 
 def modulation_map(values: Map) -> bytes:
-    upper = value_range(values, 0.0, 99.5)[1]
+    upper = value_range(drawn_pixels(values), 0.0, 99.5)[1]
     return draw_maps(MapSheet(values, "inferno", (0.0, upper), "modulation in grey levels of 255"))
 
 
@@ -67,7 +67,7 @@ def point_map(
     # values (N,)
     grid = raster_of(cloud)
     mapped, extent = rasterise(grid, np.asarray(values, np.float32)[:, None])
-    shown = limits or value_range(mapped, 0.5, 99.5)
+    shown = limits or value_range(drawn_pixels(mapped), 0.5, 99.5)
     return draw_maps(MapSheet(mapped[..., 0], colours, shown, label, extent, grid.names))
 
 
@@ -86,11 +86,16 @@ def surface_shading(points: Map) -> Map:
         return np.where(measured, np.float32(0.5), np.float32(np.nan))
     weight = cv2.GaussianBlur(measured.astype(np.float32), (0, 0), 1.2)
     smooth = cv2.GaussianBlur(np.nan_to_num(coarse), (0, 0), 1.2) / np.maximum(weight, 1e-6)[..., None]
-    normals = np.cross(np.gradient(smooth, axis=1), np.gradient(smooth, axis=0))
-    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
-    normals *= -np.sign(normals[..., 2:])  # towards the camera
+    (ax, ay, az), (dx, dy, dz) = (
+        cv2.split(cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=1, borderType=cv2.BORDER_REPLICATE))
+        for order in ((1, 0), (0, 1))
+    )
+    x, y, z = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
+    towards_camera = -np.sign(z) / np.maximum(np.sqrt(x * x + y * y + z * z), np.float32(1e-12))
     light = np.array([-0.55, -0.65, -0.8]) / np.linalg.norm([-0.55, -0.65, -0.8])
     halfway = (light + [0.0, 0.0, -1.0]) / np.linalg.norm(light + [0.0, 0.0, -1.0])
-    matt, gloss = np.clip(normals @ light, 0, 1), np.clip(normals @ halfway, 0, 1) ** 24
-    bright = 0.08 + 0.80 * matt + 0.12 * gloss
-    return np.where(measured, bright, np.nan).astype(np.float32)
+    matt, gloss = (
+        np.clip((x * a + y * b + z * c) * towards_camera, 0, 1)
+        for a, b, c in (light.tolist(), halfway.tolist())
+    )
+    return np.where(measured, 0.08 + 0.80 * matt + 0.12 * cv2.pow(gloss, 24), np.float32(np.nan))

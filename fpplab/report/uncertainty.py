@@ -9,7 +9,7 @@ from fpplab.core.robust import value_range
 from fpplab.patterns.plan import Plan
 from fpplab.phase.common_errors import show_common_errors
 from fpplab.phase.limits import NOISE
-from fpplab.report.map_sheet import MapSheet, draw_maps
+from fpplab.report.map_sheet import MapSheet, draw_maps, drawn_pixels
 from fpplab.report.raster import raster_of, rasterise
 
 PARTS = {
@@ -33,7 +33,7 @@ def sigma_maps(cloud: Cloud) -> bytes:
         MapSheet(
             values,
             "cividis",
-            value_range(values, 1, 99),
+            value_range(drawn_pixels(values), 1, 99),
             "standard uncertainty in µm",
             extent,
             grid.names,

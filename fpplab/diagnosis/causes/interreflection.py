@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import scipy
 
@@ -161,10 +162,9 @@ def _regions(sample: FrameSample, decoded: Decoded, k: int, halves: Floats) -> I
         return
     noise = robust_spread((halves[0] - halves[1])[known], 0.0) / 2.0
     for sign in (-1.0, 1.0):
-        numbers, count = scipy.ndimage.label(
-            known & (sign * mean > limits.min_region_sigmas * noise), np.ones((3, 3))
-        )
-        for n in range(1, count + 1):
+        contradicts = known & (sign * mean > limits.min_region_sigmas * noise)
+        count, numbers = cv2.connectedComponents(contradicts.astype(np.uint8))
+        for n in range(1, count):
             own = numbers == n
             if own.sum() >= limits.min_region_blocks:
                 row, column = np.mean(np.argwhere(own) + 0.5, axis=0) * BLOCK * sample.step
