@@ -1,23 +1,24 @@
-"""Common style and helpers of all figures: figures and axes, maps, colour bars."""
+"""Common style and helpers of all figures. Matplotlib is loaded only where one is drawn."""
+
+from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
-from typing import Any, ParamSpec, cast
+from typing import TYPE_CHECKING, Any, ParamSpec, cast
 
 import cv2
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cm import ScalarMappable
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
-from PIL import Image as Pixels
 
 from fpplab.core.conventions import Image, full_scale
+
+if TYPE_CHECKING:
+    import matplotlib as mpl
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
 
 HALF, FULL = 4.8, 9.6  # widths in inches of figures in two columns, and of the full page
 MAX_COLUMNS = 1200  # columns beyond which a map is subsampled before it is drawn (chosen)
@@ -55,11 +56,16 @@ def as_png(draw: Callable[P, Figure]) -> Callable[P, bytes]:
 
 
 def common_style() -> AbstractContextManager[None]:
-    return mpl.rc_context(cast(Any, STYLE))
+    from matplotlib import rc_context
+
+    return rc_context(cast(Any, STYLE))
 
 
 def encode_png(figure: Figure) -> bytes:
     """Encode as PNG of 256 colours: a third of the size, for pages of many figures."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image as Pixels
+
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     rgb = Pixels.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
@@ -70,6 +76,8 @@ def encode_png(figure: Figure) -> bytes:
 
 
 def new_figure(width: float, height: float) -> Figure:
+    from matplotlib.figure import Figure
+
     return Figure(figsize=(width, height), dpi=144, layout="compressed", facecolor="white")
 
 
@@ -138,6 +146,9 @@ def draw_map(
 
 
 def draw_frame(image: Image, bits: int = 8) -> Figure:
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
     full = full_scale(bits)
     saturated = image >= full
     figure, axes = map_axes(image.shape)
@@ -149,7 +160,7 @@ def draw_frame(image: Image, bits: int = 8) -> Figure:
     if share:
         marks = cv2.dilate(saturated.astype(np.uint8), np.ones((2 * step + 1,) * 2, np.uint8)) > 0
         overlay = np.where(marks, 1.0, np.nan)
-        draw_map(axes, overlay, mpl.colors.ListedColormap([ALARM]), (0.0, 1.0), background=False)
+        draw_map(axes, overlay, ListedColormap([ALARM]), (0.0, 1.0), background=False)
     axes.legend(
         handles=[Patch(facecolor=ALARM if share else "none", label=label)],
         loc="lower right",

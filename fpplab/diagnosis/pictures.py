@@ -1,10 +1,8 @@
-"""Figures that several causes share, and what they draw with. Imported only where a picture is drawn."""
+"""Figures that several causes share, and what they draw with."""
 
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from fpplab.core.conventions import Floats
 from fpplab.core.drawing import (
@@ -19,11 +17,13 @@ from fpplab.core.drawing import (
     single_axes,
 )
 from fpplab.diagnosis.brightness import BrightnessLimits, frame_levels
+from fpplab.diagnosis.evidence import Evidence
+from fpplab.diagnosis.finding import Figure, Finding
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits, phase_deviations
 from fpplab.diagnosis.sample import FrameSample
 
 
-def curve_axes() -> tuple[Figure, Axes]:
+def curve_axes() -> tuple[Figure, Any]:
     return single_axes(HALF, 2.4)
 
 
@@ -41,9 +41,9 @@ def draw_sample_map(
     return figure
 
 
-def draw_phases_by_set(sample: FrameSample) -> Figure:
+def draw_phases_by_set(evidence: Evidence, _: Finding) -> Figure:
     """Draw the wrapped phase of every fringe set, under the axis and number of stripes of the plan."""
-    sets = sample.recording.plan.fringes
+    sample, sets = evidence.frames, evidence.frames.recording.plan.fringes
     columns = min(len(sets), 3)
     rows = -(-len(sets) // columns)
     figure = new_figure(2.4 * columns, 2.0 * rows)
@@ -61,17 +61,18 @@ def draw_limit(axes: Any, value: float, label: str) -> None:
     axes.legend(loc="best")
 
 
-def draw_rate(excess: float) -> Figure:
+def draw_rate(_: Evidence, finding: Finding) -> Figure:
     """Draw how many frames per second a plan takes compared with what is possible."""
     figure, axes = single_axes(HALF, 1.5)
-    axes.barh(["possible", "needed"], [1.0, excess], color=[SECOND, ALARM], height=0.6)
+    axes.barh(["possible", "needed"], [1.0, finding.excess], color=[SECOND, ALARM], height=0.6)
     axes.axvline(1.0, color=SECOND, linewidth=1.2)
     axes.set(xlabel="frames per second, as a multiple of those possible")
     return figure
 
 
-def draw_focus(sample: FrameSample) -> Figure:
+def draw_focus(evidence: Evidence, _: Finding) -> Figure:
     """Draw the part of the image with the sharpest edges, and the contrast of the finest fringes."""
+    sample = evidence.frames
     figure, (left, right) = side_by_side(3.0, (1.0, 1.4))
     tile = sample.offsets_in_tiles.mean(axis=0)[0]
     left.imshow(tile, cmap="gray")
@@ -83,8 +84,9 @@ def draw_focus(sample: FrameSample) -> Figure:
     return figure
 
 
-def draw_errors_by_phase(sample: FrameSample) -> Figure:
+def draw_errors_by_phase(evidence: Evidence, _: Finding) -> Figure:
     """Draw, by phase, how fringes depart from sinusoids and the phase from the coordinate's."""
+    sample = evidence.frames
     figure, (left, right) = side_by_side(2.8, (1.0, 1.0))
     for k, fringe in enumerate(sample.recording.plan.fringes):
         fit, used = sample.fits[k], sample.measured

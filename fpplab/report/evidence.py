@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from fpplab.core.drawing import common_style, encode_png
 from fpplab.diagnosis import Finding
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.report.parts import ReportFigure
@@ -16,8 +17,6 @@ def _draw_finding(finding: Finding, evidence: Evidence) -> bytes | None:
     picture = finding.cause.picture
     if picture is None or not evidence.has(picture.needs):
         return None
-    from fpplab.core.drawing import common_style, encode_png
-
     with common_style():
         figure = picture.draw(evidence, finding)
         return None if figure is None else encode_png(figure)

@@ -25,6 +25,7 @@ ODD_FRAMES = '''
 from fpplab.diagnosis.evidence import Needs
 from fpplab.diagnosis.finding import Detector, FaultCause, Finding, Picture, DetectionStage
 from fpplab.diagnosis.limits import CountLimit, LimitsSection
+from fpplab.diagnosis.pictures import draw_rate
 
 
 class OddFramesLimits(LimitsSection):
@@ -40,12 +41,6 @@ def _find(evidence, found):
         yield Finding(ODD_FRAMES, f"there are {count} frames (at most {limit})", count / limit)
 
 
-def _draw(evidence, finding):
-    from fpplab.diagnosis.pictures import draw_rate
-
-    return draw_rate(finding.excess)
-
-
 ODD_FRAMES = FaultCause(
     key="odd_frames",
     meaning="There are too many frames.",
@@ -54,7 +49,7 @@ ODD_FRAMES = FaultCause(
     limit=f"{OddFramesLimits().max_frames}",
     seen_in="frames",
     detectors=(Detector(DetectionStage.FRAMES, _find),),
-    picture=Picture(Needs.FRAMES, _draw),
+    picture=Picture(Needs.FRAMES, draw_rate),
 )
 '''
 

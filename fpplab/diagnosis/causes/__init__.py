@@ -2,5 +2,5 @@
 
 A module holds all there is of its cause: limits, detectors, what else it brings about, what makes a result
 useless, remedy, documentation and picture. `fpplab.diagnosis.catalogue` finds the modules by listing this
-package. Matplotlib is imported only where a picture is drawn.
+package.
 """

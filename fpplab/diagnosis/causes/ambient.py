@@ -9,6 +9,7 @@ from fpplab.core.config import Positive
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
+from fpplab.diagnosis.pictures import draw_sample_map
 from fpplab.diagnosis.visibility import GreyLevelLimits
 
 
@@ -43,7 +44,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
     from fpplab.core.robust import value_range
-    from fpplab.diagnosis.pictures import draw_sample_map
 
     sample, limit = evidence.frames, evidence.limits.of(AmbientLimits).max_ratio
     fit = sample.widest

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
+from fpplab.core.drawing import HALF, colour_bar, single_axes
 from fpplab.diagnosis.brightness import harmonic_waves
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
@@ -118,8 +119,6 @@ def _between_sets(sample: FrameSample, rows: NDArray[np.intp], sets: Sequence[in
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
-    from fpplab.core.drawing import HALF, colour_bar, single_axes
-
     gains = row_gains(evidence.frames)
     if gains is None:
         return None

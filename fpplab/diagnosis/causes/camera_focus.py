@@ -4,7 +4,8 @@ from collections.abc import Iterator, Sequence
 
 from fpplab.diagnosis.blur import BlurLimits, phase_error_of_blur
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.pictures import draw_focus
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
@@ -17,12 +18,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     yield Finding(CAMERA_FOCUS, blur.evidence, blur.excess, ruins_points=useless)
 
 
-def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.diagnosis.pictures import draw_focus
-
-    return draw_focus(evidence.frames)
-
-
 CAMERA_FOCUS = FaultCause(
     key="camera_focus",
     meaning="The camera is out of focus: edges are as blurred as the fringes.",
@@ -32,7 +27,7 @@ CAMERA_FOCUS = FaultCause(
     limit="half of the contrast in focus",
     seen_in="frames",
     detectors=(Detector(DetectionStage.BLUR, _find),),
-    picture=Picture(Needs.FRAMES, _draw),
+    picture=Picture(Needs.FRAMES, draw_focus),
     side_effects=frozenset({"wrong_resolution", "stale_calibration"}),
     useless_from=2.0,  # a quarter of the contrast in focus
 )

@@ -12,6 +12,7 @@ from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits, phase_error_finding, phase_unevenness
 from fpplab.diagnosis.limits import CountLimit, LimitsSection
+from fpplab.diagnosis.pictures import draw_brightness_by_frame
 from fpplab.diagnosis.sample import FrameSample
 
 
@@ -125,8 +126,6 @@ def _residual_gains(sample: FrameSample, k: int) -> Floats | None:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.diagnosis.pictures import draw_brightness_by_frame
-
     return draw_brightness_by_frame(evidence.frames, evidence.limits.of(FlickerLimits).max_scatter)
 
 

@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 
 from fpplab.diagnosis.causes.response import ResponseLimits, harmonics_share, unexplained_harmonics_rad
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits, harmonics_of_power_law_rad, phase_error_finding
+from fpplab.diagnosis.pictures import draw_errors_by_phase
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
@@ -21,12 +22,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
         yield finding
 
 
-def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.diagnosis.pictures import draw_errors_by_phase
-
-    return draw_errors_by_phase(evidence.frames)
-
-
 HARMONICS = FaultCause(
     key="harmonics",
     meaning="The fringes are distorted in a way that no power law explains.",
@@ -37,6 +32,6 @@ HARMONICS = FaultCause(
     limit=f"{FringeShapeLimits().min_harmonic_rad:g} rad, the noise, and twice that",
     seen_in="coordinates",
     detectors=(Detector(DetectionStage.FRAMES, _find),),
-    picture=Picture(Needs.FRAMES, _draw),
+    picture=Picture(Needs.FRAMES, draw_errors_by_phase),
     side_effects=frozenset({"wrong_resolution"}),
 )

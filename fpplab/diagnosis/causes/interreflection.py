@@ -17,6 +17,7 @@ from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import harmonics_of_power_law_rad, phase_deviations
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
+from fpplab.diagnosis.pictures import draw_sample_map
 from fpplab.diagnosis.points import DirectionLimits, changes_along_image
 from fpplab.diagnosis.sample import MEDIAN, FrameSample
 from fpplab.phase import Decoded
@@ -268,8 +269,6 @@ def _phase_error(sample: FrameSample, axis: Axis, backward: Mask) -> float:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
-    from fpplab.diagnosis.pictures import draw_sample_map
-
     sample = evidence.frames
     deviations = [deviation for _, _, deviation in phase_deviations(sample)]
     if not deviations:

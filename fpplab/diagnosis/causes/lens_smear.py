@@ -12,6 +12,7 @@ from fpplab.core.robust import robust_spread
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
+from fpplab.diagnosis.pictures import draw_sample_map
 
 
 class LensSmearLimits(LimitsSection):
@@ -120,8 +121,6 @@ def _is_loss_by_blur(evidence: Evidence, inside: Mask) -> bool:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
-    from fpplab.diagnosis.pictures import draw_sample_map
-
     beyond = blur_beyond_depth(evidence)
     if beyond is None:
         return None

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
 from fpplab.diagnosis.brightness import BrightnessLimits, frame_levels
-from fpplab.diagnosis.causes.flicker import FlickerLimits
-from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.causes.flicker import FLICKER
+from fpplab.diagnosis.evidence import Evidence
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits, LimitsSection, ShareLimit
 from fpplab.diagnosis.sample import FrameSample
 
@@ -75,12 +75,6 @@ def colour_finding(
     return Finding(MISSING_COLOUR, text, excess)
 
 
-def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.diagnosis.pictures import draw_brightness_by_frame
-
-    return draw_brightness_by_frame(evidence.frames, evidence.limits.of(FlickerLimits).max_scatter)
-
-
 MISSING_COLOUR = FaultCause(
     key="missing_colour",
     meaning="Every third image is dark: one colour channel of images with three patterns is missing.",
@@ -90,7 +84,7 @@ MISSING_COLOUR = FaultCause(
     f"{MissingColourLimits().min_scatters:g} times their scatter",
     seen_in="frames, check",
     detectors=(Detector(DetectionStage.COLOUR, _find),),
-    picture=Picture(Needs.FRAMES, _draw),
+    picture=FLICKER.picture,
     side_effects=frozenset({"stale_calibration"}),
     invalidates=frozenset({DetectionStage.FRAMES, DetectionStage.PLAN}),
     useless_from=30.0,  # three quarters of the others' brightness

@@ -4,9 +4,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from fpplab.core.drawing import ALARM, colour_bar, draw_map, map_axes
 from fpplab.diagnosis.causes.projector_dark import darkness_excess
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.pictures import sample_extent
 from fpplab.diagnosis.visibility import VisibilityLimits
 
 
@@ -44,9 +46,6 @@ def _evidence(share: float, limit: float) -> str:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.core.drawing import ALARM, colour_bar, draw_map, map_axes
-    from fpplab.diagnosis.pictures import sample_extent
-
     sample = evidence.frames
     figure, axes = map_axes(sample.lit.shape)
     mean = sample.spread.mean(axis=0)

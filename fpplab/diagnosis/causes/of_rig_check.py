@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
-from fpplab.diagnosis.causes.flicker import FlickerLimits
+from fpplab.core.drawing import ACCENT, ALARM, FULL, SECOND, new_figure
+from fpplab.diagnosis.causes.flicker import FLICKER
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.pictures import draw_rate
 
 
 def draw_marker_levels(shown: NDArray[np.integer[Any]], runs: Mapping[str, Floats]) -> Figure:
@@ -18,8 +20,6 @@ def draw_marker_levels(shown: NDArray[np.integer[Any]], runs: Mapping[str, Float
     # The levels seen are expected to rise with the levels shown: expected are the levels seen of a run,
     # sorted in the order of the levels shown.
     # shown (K,); runs of (K,)
-    from fpplab.core.drawing import ACCENT, ALARM, FULL, SECOND, new_figure
-
     figure = new_figure(FULL, 2.6)
     panels = np.atleast_1d(figure.subplots(1, len(runs), sharey=True))
     for axes, (how, levels) in zip(panels, runs.items(), strict=True):
@@ -43,19 +43,7 @@ def _draw_marker(evidence: Evidence, _: Finding) -> Figure:
     return draw_marker_levels(evidence.marker, evidence.runs)
 
 
-def _draw_rate(_: Evidence, finding: Finding) -> Figure:
-    from fpplab.diagnosis.pictures import draw_rate
-
-    return draw_rate(finding.excess)
-
-
-def _draw_brightness(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.diagnosis.pictures import draw_brightness_by_frame
-
-    return draw_brightness_by_frame(evidence.frames, evidence.limits.of(FlickerLimits).max_scatter)
-
-
-RATE_PICTURE = Picture(Needs.FINDING, _draw_rate)
+RATE_PICTURE = Picture(Needs.FINDING, draw_rate)
 _cause = partial(FaultCause, seen_in="check")
 _of_marker = partial(_cause, picture=Picture(Needs.MARKER, _draw_marker))
 DEVICE_REPORT = "what the device reports"
@@ -144,5 +132,5 @@ MAINS_FLICKER = _cause(
     measured="scatter of the brightness of extra frames, with the exposure of the plan and with whole "
     "periods of 100 and 120 Hz",
     limit="0.75 %, reduced to at most 0.4 of it by whole periods",
-    picture=Picture(Needs.FRAMES, _draw_brightness),
+    picture=FLICKER.picture,
 )

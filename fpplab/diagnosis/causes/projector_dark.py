@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.pictures import draw_sample_map
 from fpplab.diagnosis.visibility import Visibility, VisibilityLimits
 
 
@@ -23,8 +24,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.diagnosis.pictures import draw_sample_map
-
     sample = evidence.frames
     limits = (0.0, max(sample.strongest, 1.0))
     return draw_sample_map(

@@ -3,19 +3,14 @@
 from collections.abc import Iterator, Sequence
 
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.pictures import draw_focus
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     blur = evidence.blur
     if blur is not None and blur.is_out_of_focus and not blur.is_camera:
         yield Finding(PROJECTOR_FOCUS, blur.evidence, blur.excess)
-
-
-def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.diagnosis.pictures import draw_focus
-
-    return draw_focus(evidence.frames)
 
 
 PROJECTOR_FOCUS = FaultCause(
@@ -27,5 +22,5 @@ PROJECTOR_FOCUS = FaultCause(
     limit="half of the contrast in focus",
     seen_in="frames",
     detectors=(Detector(DetectionStage.BLUR, _find),),
-    picture=Picture(Needs.FRAMES, _draw),
+    picture=Picture(Needs.FRAMES, draw_focus),
 )

@@ -7,7 +7,7 @@ import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
 from fpplab.diagnosis.fringe_shape import (
     FringeShapeLimits,
     harmonics_of_power_law_rad,
@@ -15,6 +15,7 @@ from fpplab.diagnosis.fringe_shape import (
     phase_ripples,
 )
 from fpplab.diagnosis.limits import LimitsSection
+from fpplab.diagnosis.pictures import draw_errors_by_phase
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.phase.bent_phases import exponent_of_second_harmonic
 
@@ -74,12 +75,6 @@ def _fitted_exponent(sample: FrameSample) -> str:
     return f"; the frames are those of a response with the exponent (gamma) {exponent:.2f}"
 
 
-def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.diagnosis.pictures import draw_errors_by_phase
-
-    return draw_errors_by_phase(evidence.frames)
-
-
 RESPONSE = FaultCause(
     key="response",
     meaning="The fringes are not sinusoidal: the response is not linear.",
@@ -89,7 +84,7 @@ RESPONSE = FaultCause(
     f"{FringeShapeLimits().min_harmonic_rad:g} rad, and the noise",
     seen_in="frames, coordinates",
     detectors=(Detector(DetectionStage.FRAMES, _find),),
-    picture=Picture(Needs.FRAMES, _draw),
+    picture=Picture(Needs.FRAMES, draw_errors_by_phase),
     side_effects=frozenset({"wrong_resolution", "stale_calibration"}),
     # The third harmonic of wide fringes moves the mean of three images, as motion does.
     outweighs_from={"vibration": 0.5},

@@ -6,6 +6,7 @@ import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import TWO_PI, Axis, Floats
+from fpplab.core.drawing import HALF, single_axes
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import CountLimit, LimitsSection
@@ -108,8 +109,6 @@ def _find_moved_around(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Fin
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.core.drawing import HALF, single_axes
-
     figure, axes = single_axes(HALF, 2.4)
     for axis, name in ((1, "rows"), (2, "columns")):
         for fringe_axis in evidence.frames.recording.plan.axes:

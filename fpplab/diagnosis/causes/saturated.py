@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from fpplab.core.drawing import draw_frame
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.visibility import GreyLevelLimits, dimming_factor
@@ -18,8 +19,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.core.drawing import draw_frame
-
     recording = evidence.frames.recording
     return draw_frame(np.max(np.stack(recording.frames), axis=0), recording.bits)
 

@@ -5,9 +5,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fpplab.core.config import Positive
+from fpplab.core.drawing import ACCENT
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
+from fpplab.diagnosis.pictures import curve_axes, draw_limit
 from fpplab.diagnosis.points import triangulation_angles_deg
 
 
@@ -27,9 +29,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.core.drawing import ACCENT
-    from fpplab.diagnosis.pictures import curve_axes, draw_limit
-
     points = evidence.points
     figure, axes = curve_axes()
     axes.hist(triangulation_angles_deg(points.points, points.calibration), bins=60, color=ACCENT)

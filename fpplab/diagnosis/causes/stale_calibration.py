@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fpplab.core.config import Positive
+from fpplab.core.drawing import colour_bar, draw_map, map_axes
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import DiagnosisLimits, LimitsSection
@@ -70,8 +71,6 @@ def _limit_px(evidence: Evidence) -> float:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
-    from fpplab.core.drawing import colour_bar, draw_map, map_axes
-
     points, limit = evidence.points, _limit_px(evidence)
     distance_px = points.cloud.epipolar_px
     if distance_px is None or points.cloud.pixels is None:

@@ -4,8 +4,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from fpplab.core.drawing import ACCENT
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.pictures import curve_axes, draw_limit
 from fpplab.diagnosis.visibility import GreyLevelLimits
 
 
@@ -39,9 +41,6 @@ def _find_low_peaks(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Findin
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.core.drawing import ACCENT
-    from fpplab.diagnosis.pictures import curve_axes, draw_limit
-
     sample = evidence.frames
     brightest = sample.spread.max(axis=0)
     shown = brightest[sample.lit] if sample.lit.any() else brightest.ravel()

@@ -6,9 +6,11 @@ import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import axis_length
+from fpplab.core.drawing import ACCENT
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
+from fpplab.diagnosis.pictures import curve_axes
 
 
 class UndersampledLimits(LimitsSection):
@@ -31,9 +33,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.core.drawing import ACCENT
-    from fpplab.diagnosis.pictures import curve_axes
-
     sample = evidence.frames
     plan = sample.recording.plan
     k = plan.finest_set()

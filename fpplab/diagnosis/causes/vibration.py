@@ -6,6 +6,7 @@ import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
+from fpplab.core.drawing import ACCENT, ALARM, colour_bar, side_by_side
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
@@ -53,8 +54,6 @@ def _displacement(reference: Floats, other: Floats) -> tuple[float, float]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.core.drawing import ACCENT, ALARM, colour_bar, side_by_side
-
     sample, limit = evidence.frames, evidence.limits.of(VibrationLimits).max_shift_px
     moved = [shift for shift, _ in displacements_px(sample)]
     worst = int(np.argmax(moved))

@@ -5,9 +5,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fpplab.core.config import Positive
+from fpplab.core.drawing import ACCENT, HALF, SECOND, single_axes
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
+from fpplab.diagnosis.pictures import draw_limit
 
 
 class WrongAxisLimits(LimitsSection):
@@ -33,9 +35,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.core.drawing import ACCENT, HALF, SECOND, single_axes
-    from fpplab.diagnosis.pictures import draw_limit
-
     by_depth, axes_of_plan = evidence.points.px_per_mm_of_depth, evidence.frames.recording.plan.axes
     is_coded = [axis in axes_of_plan for axis in "xy"]
     names = [f"{axis}{', of the plan' if coded else ''}" for axis, coded in zip("xy", is_coded, strict=True)]

@@ -1,15 +1,9 @@
 """Coordinates run otherwise along the image than the calibration says."""
 
-from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.evidence import Needs
+from fpplab.diagnosis.finding import DetectionStage, FaultCause, Picture
+from fpplab.diagnosis.pictures import draw_phases_by_set
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
-
-
-def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.diagnosis.pictures import draw_phases_by_set
-
-    return draw_phases_by_set(evidence.frames)
-
 
 WRONG_ORIENTATION = FaultCause(
     key="wrong_orientation",
@@ -21,7 +15,7 @@ WRONG_ORIENTATION = FaultCause(
     "reversed or the axes exchanged",
     limit=f"the other direction; {PlanCheckLimits().max_epipolar_px:g} projector px with it undone",
     seen_in="frames",
-    picture=Picture(Needs.FRAMES, _draw),
+    picture=Picture(Needs.FRAMES, draw_phases_by_set),
     side_effects=frozenset({"stale_calibration"}),
     invalidates=frozenset({DetectionStage.REFLECTIONS}),
     useless_from=1.0,

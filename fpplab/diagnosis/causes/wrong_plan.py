@@ -12,8 +12,9 @@ from fpplab.diagnosis.causes.harmonics import HARMONICS
 from fpplab.diagnosis.causes.response import RESPONSE
 from fpplab.diagnosis.causes.wrong_orientation import WRONG_ORIENTATION
 from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
+from fpplab.diagnosis.pictures import draw_phases_by_set
 from fpplab.diagnosis.plan import PlanCheck, check_plan_fit
 from fpplab.diagnosis.plan.edits import Edit
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
@@ -123,12 +124,6 @@ def _runs_against(
     return None
 
 
-def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.diagnosis.pictures import draw_phases_by_set
-
-    return draw_phases_by_set(evidence.frames)
-
-
 WRONG_PLAN = FaultCause(
     key="wrong_plan",
     meaning="The plan does not describe the images.",
@@ -140,7 +135,7 @@ WRONG_PLAN = FaultCause(
     limit=f"{PlanCheckLimits().max_better_ratio:g} of it",
     seen_in="frames",
     detectors=(Detector(DetectionStage.PLAN, _find),),
-    picture=Picture(Needs.FRAMES, _draw),
+    picture=Picture(Needs.FRAMES, draw_phases_by_set),
     side_effects=frozenset({"stale_calibration"}),
     invalidates=frozenset({DetectionStage.REFLECTIONS}),
     useless_from=1.0,

@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Lattice, Map, Mask, axis_length
+from fpplab.core.drawing import ACCENT, ALARM
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
+from fpplab.diagnosis.pictures import curve_axes
 from fpplab.diagnosis.sample import FrameSample
 
 ASPECTS = {Lattice.SQUARE: 1.0, Lattice.DIAMOND: 2.0}
@@ -185,9 +187,6 @@ def _are_evenly_bright(image: Image, row: int, max_change: float) -> Mask:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
-    from fpplab.core.drawing import ACCENT, ALARM
-    from fpplab.diagnosis.pictures import curve_axes
-
     spectrum = _strongest_moire(evidence.frames)
     if spectrum is None:
         return None
