@@ -57,18 +57,7 @@ class Uncertainty:
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     def widened(self, added: Floats) -> Uncertainty:
-        """Add the covariance of a change of the rig, which may free parameters that were held constant.
-
-        Parameters
-        ----------
-        added : ndarray of float64, (P, P)
-            In the order of `PARAMETERS`, zero where nothing changes.
-
-        Returns
-        -------
-        Uncertainty
-            Of all parameters that are uncertain now, in the order of `PARAMETERS`.
-        """
+        """Add the covariance (P, P), by `PARAMETERS`, of a change of the rig; it may free held parameters."""
         whole, places = added.copy(), [PARAMETERS.index(name) for name in self.names]
         whole[np.ix_(places, places)] += self.covariance
         kept = np.flatnonzero(np.diag(whole) > 0)
@@ -234,22 +223,7 @@ class Calibration:
         _check("camera frames", size, self.camera.size, source)
 
     def check_projector(self, size: tuple[int, int], lattice: Lattice, source: Path | str) -> None:
-        """Check that fringes are for the projector's size and lattice.
-
-        Parameters
-        ----------
-        size : tuple of int
-            Width and height of the patterns in projector px.
-        lattice : Lattice
-            Arrangement of the mirrors that the patterns are for.
-        source : Path or str
-            Where the patterns come from, for the error message.
-
-        Raises
-        ------
-        CalibrationError
-            Size or lattice differ.
-        """
+        """Refuse patterns for another projector: size (width, height) in px, and lattice."""
         _check("projector patterns", size, self.projector.size, source)
         if lattice is not self.projector.lattice:
             raise CalibrationError(
@@ -259,18 +233,7 @@ class Calibration:
             )
 
     def check_possible(self, source: Path | str) -> None:
-        """Check that a camera and a projector can be like this.
-
-        Parameters
-        ----------
-        source : Path or str
-            Where the calibration comes from, for the error message.
-
-        Raises
-        ------
-        ConfigError
-            No lens has this distortion or these focal lengths, or no two devices this pose.
-        """
+        """Refuse a distortion, focal lengths or a pose that no two devices have: `ConfigError`."""
         if complaint := explain_impossible(self.camera, self.projector, self.T_projector_camera):
             raise ConfigError(f"{source}: no calibration of a real rig: {complaint}")
 
@@ -290,18 +253,7 @@ class Calibration:
         write_text(Path(path), self.to_yaml(Path(path).name))
 
     def to_yaml(self, name: str) -> str:
-        """Give the text of a calibration file.
-
-        Parameters
-        ----------
-        name : str
-            Of the file; recorded as the calibration's first, where it has none yet.
-
-        Returns
-        -------
-        str
-            YAML.
-        """
+        """Give the text of a calibration file; its name is recorded as the first, where there is none yet."""
         origin = self.origin
         if origin is not None and origin.file is None:
             origin = origin.model_copy(update={"file": name})

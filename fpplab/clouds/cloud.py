@@ -279,13 +279,7 @@ class Cloud:
         return xarray.Dataset(arranged, attrs={"frame": "camera: x right, y down, z forward"})
 
     def colours(self) -> NDArray[np.uint8]:
-        """Give red, green and blue of the points, which are equal of a camera without colours.
-
-        Returns
-        -------
-        ndarray of uint8, (N, 3)
-            Black where nothing is known.
-        """
+        """Red, green and blue (N, 3) of the points: equal of a camera without colours, 0 where not known."""
         if self.rgb is not None:
             return self.rgb
         grey = np.zeros(len(self), np.uint8) if self.colour is None else self.colour
@@ -343,18 +337,7 @@ class Cloud:
         return replace(self, **chosen)
 
     def grid(self) -> PixelGrid:
-        """Arrange the points over the camera's pixels.
-
-        Returns
-        -------
-        PixelGrid
-            Slopes and inverse depths by pixel.
-
-        Raises
-        ------
-        DataError
-            The pixels of the points are not known.
-        """
+        """Arrange the points over the camera's pixels; raises `DataError` where these are not known."""
         if self.pixels is None or self.size is None:
             raise DataError("cloud: its points are not known by camera pixel; use a cloud that fpplab made")
         sigmas = (self.sigma_noise_mm, self.sigma_phase_error_mm) if self.sigma_noise_mm is not None else ()

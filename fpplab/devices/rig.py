@@ -89,18 +89,7 @@ class CameraSection(DeviceSection):
     """
 
     def dead_s(self, exposure_s: float) -> float | None:
-        """Give the stated dead time in s after an exposure; None where none is stated.
-
-        Parameters
-        ----------
-        exposure_s : float
-            The exposure in s.
-
-        Returns
-        -------
-        float or None
-            The time in s.
-        """
+        """Give the stated dead time in s after an exposure in s; None where none is stated."""
         stated = self.dead_time_s
         if isinstance(stated, DeadTime):
             return stated.fixed_s + stated.of_exposure * exposure_s
@@ -242,13 +231,7 @@ class Rig:
             return cls(config.validate(with_named_response(data, file), RigFile, file), file.parent, file)
 
     def changed_at(self) -> dict[Path, int]:
-        """Tell when the files were changed that the rig file names, in ns since 1970.
-
-        Returns
-        -------
-        dict of Path to int
-            Of those in its folder, such as a world file, and those named there by absolute paths.
-        """
+        """Tell when files that the rig file names were changed, in ns since 1970."""
         options = self.file.model_dump(mode="json", exclude_none=True).values()
         words = [word for section in options if isinstance(section, dict) for word in section.values()]
         named = (self._folder / word for word in words if isinstance(word, str) and word)
@@ -288,25 +271,7 @@ class Rig:
         self._source = name
 
     def camera_settings(self, exposure_s: float, bits: int | None = None) -> CameraSettings:
-        """Give the rig's standing settings with a plan's exposure and depth.
-
-        Parameters
-        ----------
-        exposure_s : float
-            Exposure in s.
-        bits : int, optional
-            Depth of the grey levels; by default the rig file's.
-
-        Returns
-        -------
-        CameraSettings
-            For `Camera.configure`.
-
-        Raises
-        ------
-        ConfigError
-            The camera does not offer the plan's depth.
-        """
+        """Give the rig's settings with a plan's exposure and bits; refuses bits that the camera lacks."""
         if bits is not None and bits not in (offered := self.camera.caps.bits):
             listed = ", ".join(map(str, offered))
             raise ConfigError(
@@ -323,18 +288,7 @@ class Rig:
                     both.callback(safe)
 
     def described(self, mounted: Mounted | None = None) -> dict[str, Any]:
-        """Describe the rig as resolved, for a session.
-
-        Parameters
-        ----------
-        mounted : tuple of str and int, optional
-            The item and its pose.
-
-        Returns
-        -------
-        dict
-            The rig file's data, and under `resolved` what the open devices are and what is mounted.
-        """
+        """Give the rig file's data and, under `resolved`, what the open devices are and what is mounted."""
         caps = self.projector.caps
         resolved: dict[str, Any] = {
             "camera": {"model": self.camera.info().model, "size": list(self.camera.caps.size)},
@@ -351,73 +305,19 @@ class Rig:
         return {**config.plain(self.file), "resolved": resolved}
 
     def need_fixture(self, doing: str) -> Fixture:
-        """Give the fixture.
-
-        Parameters
-        ----------
-        doing : str
-            What it is needed for, for the message.
-
-        Returns
-        -------
-        Fixture
-            The rig's.
-
-        Raises
-        ------
-        ConfigError
-            The rig has none.
-        """
+        """Give the fixture; raises `ConfigError` where there is none, with what it is needed for."""
         if self.fixture is None:
             raise ConfigError(f"{self._source}: 'fixture' is missing, and {doing} needs one")
         return self.fixture
 
     def need_stage(self, mm: float, name: str | None = None) -> Stage:
-        """Give a stage, if it can go there; nothing moves.
-
-        Parameters
-        ----------
-        mm : float
-            The target position.
-        name : str, optional
-            Which of the rig file's `stages`; by default its `stage`.
-
-        Returns
-        -------
-        Stage
-            The rig's.
-
-        Raises
-        ------
-        ConfigError
-            The rig has none.
-        LimitError
-            The position lies outside the travel.
-        """
+        """Give the stage, or one of `stages` by name, if it can go to a position; nothing moves."""
         stage = self._stage_for(mm, name)
         stage.check(mm)
         return stage
 
     def plan_stage_move(self, mm: float) -> StageMove:
-        """Describe a move of the stage to a position; nothing moves, and no confirmation is asked for.
-
-        Parameters
-        ----------
-        mm : float
-            The position in mm.
-
-        Returns
-        -------
-        StageMove
-            The move.
-
-        Raises
-        ------
-        ConfigError
-            The rig has no stage.
-        LimitError
-            The position lies outside the travel.
-        """
+        """Describe a move of the stage; nothing moves, and no confirmation is asked for."""
         return self._stage_for(mm).plan_move(mm)
 
     def _stage_for(self, mm: float, name: str | None = None) -> Stage:
@@ -436,20 +336,7 @@ class Rig:
         return stage
 
     def place_stage(self, mm: float, name: str | None = None) -> None:
-        """Bring a stage to a position, homed first where it is not.
-
-        Parameters
-        ----------
-        mm : float
-            The position in mm; of a turning stage in degrees.
-        name : str, optional
-            Which of the rig file's `stages`; by default its `stage`.
-
-        Raises
-        ------
-        ConfigError, DeviceError
-            As `need_stage`; it does not arrive.
-        """
+        """Bring a stage to a position in mm, a turning one in degrees, homed first where it is not."""
         stage = self.need_stage(mm, name)
         if not stage.homed:
             stage.home()

@@ -266,20 +266,7 @@ class Plan(Document):
             return config.validate(data, cls, file)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Plan:
-        """Copy with other values, by the names that they have in a plan file.
-
-        Parameters
-        ----------
-        update : mapping, optional
-            New values; they are not checked.
-        deep : bool
-            Whether values are copied too.
-
-        Returns
-        -------
-        Plan
-            The copy.
-        """
+        """Copy with other values, by their names in a plan file; they are not checked."""
         changed = {"sets" if name == "fringes" else name: value for name, value in (update or {}).items()}
         return super().model_copy(update=changed, deep=deep)
 
@@ -350,18 +337,7 @@ class Plan(Document):
         return tuple(accumulate((len(images) for images in self.passes), initial=0))
 
     def part_at(self, exposure_s: float) -> Plan:
-        """Give the part of the plan that one exposure takes.
-
-        Parameters
-        ----------
-        exposure_s : float
-            One of `exposures`.
-
-        Returns
-        -------
-        Plan
-            With the sets that have it.
-        """
+        """Give the part of the plan, the sets that have it, that one of `exposures` takes."""
         sets = tuple(
             each for each, own in zip(self.sets, self.exposures_by_set, strict=True) if exposure_s in own
         )
@@ -373,34 +349,12 @@ class Plan(Document):
         return self.pass_starts[-1]
 
     def refuse_exposures(self, use: str) -> None:
-        """Refuse several exposures where they have no meaning.
-
-        Parameters
-        ----------
-        use : str
-            What needs a single exposure, as the subject of the message.
-
-        Raises
-        ------
-        ConfigError
-            The plan has several.
-        """
+        """Refuse several exposures where `use`, the subject of the message, needs one: `ConfigError`."""
         if len(self.exposures) > 1:
             raise ConfigError(f"plan: 'exposures_s' has {len(self.exposures)} exposures, but {use} takes one")
 
     def refuse_set_exposures(self, use: str) -> None:
-        """Refuse exposures of single sets where all must have the same.
-
-        Parameters
-        ----------
-        use : str
-            What needs that, as the subject of the message.
-
-        Raises
-        ------
-        ConfigError
-            A set has its own.
-        """
+        """Refuse exposures of single sets where `use`, the subject of the message, needs one for all."""
         if self.has_set_exposures:
             raise ConfigError(
                 f"plan: a set has its own 'exposures_s', but {use} takes those of the plan alone"
@@ -418,13 +372,7 @@ class Plan(Document):
         return tuple(axis for axis in self.axes if axis != self.guided_axis)
 
     def guidance_fault(self) -> str | None:
-        """Say why the guided axis cannot be guided; a copy with other fringe sets is not checked by itself.
-
-        Returns
-        -------
-        str or None
-            None where it can, or where no axis is guided.
-        """
+        """Say why the guided axis cannot be guided, also of a copy, which is not checked by itself."""
         axis, last = self.guided_axis, len(self.sets) - 1
         along = tuple(k for k, each in enumerate(self.sets) if each.coded_axis == axis)
         if axis is None or (along == (last,) and last > 0 and isinstance(self.sets[last], FringeSet)):
@@ -432,18 +380,7 @@ class Plan(Document):
         return f"'guided_axis' is '{axis}': needs the last fringe set, and no other, along {axis}"
 
     def along(self, axis: Axis) -> Plan:
-        """Give the part of the plan along one axis.
-
-        Parameters
-        ----------
-        axis : str
-            x or y.
-
-        Returns
-        -------
-        Plan
-            With the fringe sets along the axis alone.
-        """
+        """Give the part of the plan with the fringe sets along one axis alone."""
         fringes = tuple(fringe for fringe in self.fringes if fringe.axis == axis)
         unwrapping = "guided" if axis == self.guided_axis else self.unwrapping
         return self.model_copy(update={"fringes": fringes, "unwrapping": unwrapping, "guided_axis": None})
@@ -454,33 +391,11 @@ class Plan(Document):
         return self.sets[0].projector_size
 
     def sets_along(self, axis: Axis) -> tuple[int, ...]:
-        """List the fringe sets along one axis.
-
-        Parameters
-        ----------
-        axis : str
-            x or y.
-
-        Returns
-        -------
-        tuple of int
-            Indices into `fringes`, fewest stripes first; empty where the axis is not coded.
-        """
+        """List the fringe sets along an axis by their indices, fewest stripes first."""
         return indices_along(self.fringes, axis)
 
     def finest_set(self, axis: Axis | None = None) -> int:
-        """Find the finest set, the one with the most stripes.
-
-        Parameters
-        ----------
-        axis : str, optional
-            Along which axis; by default the first that is coded, x before y.
-
-        Returns
-        -------
-        int
-            Index into `fringes`.
-        """
+        """Give the index of the set with most stripes along an axis, by default the first that is coded."""
         return self.sets_along(axis or self.axes[0])[-1]
 
     @property
@@ -512,21 +427,7 @@ class Plan(Document):
                 yield index, n, each.pattern_id(index, n)
 
     def check_projector(self, size: tuple[int, int], source: Path | str) -> None:
-        """Refuse a plan whose sets the projector cannot show, or that was made for another size.
-
-        Parameters
-        ----------
-        size : tuple of int
-            Width and height of the projector in px.
-        source : path or str
-            What the plan is called in the message.
-
-        Raises
-        ------
-        ConfigError
-            A set cannot be shown, such as more stripes than half of the pixels along its axis, or
-            `projector_size` is another.
-        """
+        """Refuse sets that a projector of this size in px cannot show, or that are for another."""
         for i, each in enumerate(self.sets):
             if fault := each.fault(axis_length(size, each.coded_axis or "x")):
                 raise ConfigError(f"{source}: 'fringes[{i}].{fault}")

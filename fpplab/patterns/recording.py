@@ -121,19 +121,7 @@ class Recording:
         return (self.merged.headroom if self.merged else 1.0) / raw_per_grey(self.bits)
 
     def light(self, levels: NDArray[Any]) -> NDArray[Any]:
-        """Compare the light of different pixels.
-
-        Parameters
-        ----------
-        levels : ndarray, (height, width)
-            Levels of frames, or what is proportional to them.
-
-        Returns
-        -------
-        ndarray, (height, width)
-            The same, or levels of the longest exposure where frames are merged from several, and those of a
-            Bayer camera as if all pixels had the same colour.
-        """
+        """Give levels (height, width) that compare pixels, whatever their exposures and Bayer colours are."""
         if self.merged is not None:
             levels = np.asarray(levels / self._scale(), np.float32)
         return levels if self.bayer is None else without_mosaic(levels)
@@ -181,36 +169,12 @@ class Recording:
         return full_scale(self.bits)
 
     def of_set(self, index: int) -> Sequence[Image]:
-        """Take the frames of one fringe set.
-
-        Parameters
-        ----------
-        index : int
-            Of the set in the plan.
-
-        Returns
-        -------
-        sequence of ndarray, (height, width) each
-            In the order of the set.
-        """
+        """Give the frames of one of the plan's sets, by its index."""
         first, end = self.plan.set_starts[index : index + 2]
         return self.frames[first:end]
 
     def finest(self, axis: Axis | None = None) -> tuple[FringeSet, Sequence[Image]]:
-        """Take the finest fringe set, which has most weight in the coordinate.
-
-        Parameters
-        ----------
-        axis : str, optional
-            Along which axis; by default the first that is coded, x before y.
-
-        Returns
-        -------
-        fringes : FringeSet
-            The set.
-        frames : sequence of ndarray, (height, width) each
-            Its frames.
-        """
+        """Give the finest fringe set and its frames; by default along the first axis that is coded."""
         index = self.plan.finest_set(axis)
         return self.plan.fringes[index], self.of_set(index)
 
@@ -234,33 +198,11 @@ class Recording:
         return np.minimum(self.light(shown) * self.merged.headroom, self.full_scale).astype(np.uint16)
 
     def along(self, axis: Axis) -> Recording:
-        """Take the fringe sets along one axis.
-
-        Parameters
-        ----------
-        axis : str
-            x or y.
-
-        Returns
-        -------
-        Recording
-            With the plan and the frames of these sets alone.
-        """
+        """Take plan and frames of the fringe sets along one axis alone."""
         return self._of_sets(self.plan.along(axis), self.plan.sets_along(axis))
 
     def mean_image(self, index: int | None = None) -> NDArray[np.uint8]:
-        """Give the scene under even light: the mean of a fringe set's frames, which is its offset.
-
-        Parameters
-        ----------
-        index : int, optional
-            Of the set, also from the end; by default the finest.
-
-        Returns
-        -------
-        ndarray of uint8, (height, width)
-            8-bit grey levels.
-        """
+        """Give the scene under even light, 8 bits: the mean of a set's frames, by default the finest's."""
         if index is None:
             return self._evenly_lit_mean
         index = range(len(self.plan.sets))[index]
@@ -291,18 +233,7 @@ class Recording:
         return mean
 
     def colours(self, pixels: NDArray[np.int32]) -> Floats | None:
-        """Give the part's colours by single LEDs, or as a Bayer camera sees them, less black if shown.
-
-        Parameters
-        ----------
-        pixels : ndarray of int32, (N, 2)
-            As (u, v).
-
-        Returns
-        -------
-        ndarray of float64, (N, 3), or None
-            Red, green and blue in 8-bit grey levels of the camera; None where nothing shows colours.
-        """
+        """Give red, green and blue (N, 3) in 8-bit grey levels at pixels (u, v); None without colours."""
         of_leds = [light for led in ("red", "green", "blue") if (light := self._even_light(led)) is not None]
         if len(of_leds) == 3:
             return np.asarray(
@@ -345,21 +276,7 @@ class Recording:
         return bool(shown.light(step, np.zeros(1), 1)[0] > 0.5)
 
     def checked(self) -> Recording:
-        """Make sure that the frames are the plan's, as contiguous arrays of the machine's byte order.
-
-        Returns
-        -------
-        Recording
-            The same; views stay views, memory maps stay on the disk, only foreign byte orders and crops are
-            copied.
-
-        Raises
-        ------
-        ConfigError
-            The projector cannot resolve the plan's stripes.
-        DataError
-            Another number of frames than the plan takes, or of several sizes or types, or of another depth.
-        """
+        """Make sure that the frames are the plan's, contiguous and in native byte order."""
         _check_number(self)
         for n, frame in enumerate(self.frames):
             _check_same_format(self.name, n, frame, self.frames[0])

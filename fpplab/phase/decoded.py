@@ -222,13 +222,7 @@ class Decoded:
         return np.isfinite(self.sigma)
 
     def of_known_order(self) -> Decoded:
-        """Leave out the islands whose fringe order is unknown.
-
-        Returns
-        -------
-        Decoded
-            With NaN there; `island` stays.
-        """
+        """Leave out the islands whose fringe order is unknown, but for their numbers in `island`."""
         if self.island is None or not (self.island < 0).any():
             return self
         unknown, nan = self.island < 0, np.float32(np.nan)

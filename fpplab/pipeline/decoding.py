@@ -46,23 +46,7 @@ def checked_recording(
 
 
 def parse_known(options: Sequence[str]) -> KnownPixels:
-    """Read what `--known` says.
-
-    Parameters
-    ----------
-    options : sequence of str
-        COLUMN,ROW,VALUE each.
-
-    Returns
-    -------
-    tuple of tuple
-        Column, row and value of each.
-
-    Raises
-    ------
-    ConfigError
-        One of them is not three numbers.
-    """
+    """Read what `--known` says: COLUMN,ROW,VALUE each."""
     known = []
     for option in options:
         try:

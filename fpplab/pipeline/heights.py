@@ -99,26 +99,7 @@ def decode_over_plane(
     known_mm: KnownPixels = (),
     progress: Progress = no_progress,
 ) -> Decoded:
-    """Decode a recording, with heights over a plane.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of the object.
-    reference : path
-        Session of the plane, by the same plan.
-    file : path
-        How the devices stand over the plane (`PlaneGeometry`).
-    known_mm : tuple of tuple
-        Column, row and height in mm of points, for plans that neighbours unwrap.
-    progress : callable
-        Told the share done, 0 … 1.
-
-    Returns
-    -------
-    Decoded
-        With `height_mm` and `sigma_height_mm`.
-    """
+    """Decode a recording, with heights over the plane of a session of the same plan."""
     geometry = load_document(file, PlaneGeometry)
 
     def frames_of(folder: Path | str) -> Recording:

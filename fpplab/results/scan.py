@@ -107,13 +107,7 @@ class ScanResult:
         self.diagnosis.require_usable(str(self.session.path))
 
     def figures(self) -> dict[str, Any]:
-        """Collect verdict and figures.
-
-        Returns
-        -------
-        dict
-            What the report holds as data: as `summary`, without provenance and files.
-        """
+        """Collect what the report holds as data: as `summary`, without provenance and files."""
         verdict: dict[str, Any] = self.diagnosis.summary()
         if self.decoded is None or self.cloud is None:
             return verdict

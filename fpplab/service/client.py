@@ -78,18 +78,7 @@ class ServiceClient:
 
     @classmethod
     def find(cls, rig_file: Path | str) -> Self | None:
-        """Find the service of a rig file.
-
-        Parameters
-        ----------
-        rig_file : path or str
-            The file.
-
-        Returns
-        -------
-        ServiceClient or None
-            Its client; None where no service runs.
-        """
+        """Find the service of a rig file; None where no service runs."""
         from fpplab.devices.rig_lock import announced_service
 
         known = announced_service(rig_file)
@@ -206,34 +195,12 @@ class ServiceClient:
 
     @staticmethod
     def has_ended(scan: dict[str, Any]) -> bool:
-        """Tell whether nothing more will become of a scan.
-
-        Parameters
-        ----------
-        scan : dict
-            As `show` gives it.
-
-        Returns
-        -------
-        bool
-            Whether it is finished, failed, cancelled or interrupted.
-        """
+        """Tell whether a scan, as `show` gives it, is finished, failed, cancelled or interrupted."""
         return ScanState(scan["state"]).has_ended
 
     @staticmethod
     def fault_of(scan: dict[str, Any]) -> ServiceError:
-        """Make an error of what a scan ended with.
-
-        Parameters
-        ----------
-        scan : dict
-            As `show` gives it.
-
-        Returns
-        -------
-        ServiceError
-            With its sentence and exit code.
-        """
+        """Make an error of what a scan, as `show` gives it, ended with."""
         return ServiceError(scan["error"] or {"error": f"scan {scan['id']} is {scan['state']}"})
 
     def _ask(self, method: str, path: str, body: Any = None, wait_s: float = 0.0) -> dict[str, Any]:

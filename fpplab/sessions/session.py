@@ -149,31 +149,7 @@ class Session:
 
     @classmethod
     def create(cls, path: Path | str, plan: Plan, rig: RigRecord = None, force: bool = False) -> Session:
-        """Make a new, empty session.
-
-        Parameters
-        ----------
-        path : Path or str
-            Its directory.
-        plan : Plan
-            What will be projected.
-        rig : dict or None
-            The rig as `Rig.described` gives it; None for images from elsewhere.
-        force : bool
-            Whether a session that is there already is replaced.
-
-        Returns
-        -------
-        Session
-            Without frames.
-
-        Raises
-        ------
-        ConfigError
-            `path` exists and `force` is not said.
-        DataError
-            What is there is no session, or the disk is full.
-        """
+        """Make a new session without frames; `force` replaces one that is there already, and nothing else."""
         path = Path(path)
         refuse_existing(path, force)
         if path.exists():
@@ -186,31 +162,7 @@ class Session:
     def create_whole(
         cls, path: Path | str, plan: Plan, rig: RigRecord, force: bool, fill: Callable[[Session], object]
     ) -> Session:
-        """Make a session that appears only once it has all its frames.
-
-        Parameters
-        ----------
-        path : Path or str
-            Its directory.
-        plan : Plan
-            What was projected.
-        rig : dict or None
-            The rig as `Rig.described` gives it; None for images from elsewhere.
-        force : bool
-            Whether a session that is there already is replaced, once the new one is complete.
-        fill : callable
-            Writes every frame into the session that it is given.
-
-        Returns
-        -------
-        Session
-            Complete.
-
-        Raises
-        ------
-        ConfigError, DataError
-            As `create`; what `fill` raises. Nothing is left behind then, and what was there stays.
-        """
+        """Make a session that appears once `fill` has written all of its frames."""
         path = Path(path)
         refuse_existing(path, force)
         if path.exists():
@@ -266,33 +218,7 @@ class Session:
         force: bool = False,
         complete_too: bool = False,
     ) -> Session:
-        """Open the interrupted session at a place, or make a new one.
-
-        Parameters
-        ----------
-        path : Path or str
-            Its directory.
-        plan : Plan
-            What is to be projected.
-        rig : dict or None
-            The rig as `Rig.described` gives it.
-        force : bool
-            Whether a session that is there already is replaced.
-        complete_too : bool
-            Whether one that is complete is opened, instead of refused.
-
-        Returns
-        -------
-        Session
-            With the frames recorded until now.
-
-        Raises
-        ------
-        ConfigError
-            It is complete.
-        DataError
-            It is of another plan, rig or mounted item.
-        """
+        """Open the interrupted session of this plan, rig and item, or make a new one."""
         path = Path(path)
         if force or not (path / JOURNAL).is_file():
             return cls.create(path, plan, rig, force)
@@ -351,28 +277,11 @@ class Session:
         return self._records[index]
 
     def missing(self) -> list[int]:
-        """List the plan's images that are not recorded yet.
-
-        Returns
-        -------
-        list of int
-            Their indices, in order.
-        """
+        """List the plan's images that are not recorded yet, by their indices."""
         return [i for i in range(self.plan.frames) if i not in self._records]
 
     def write(self, frame: Frame) -> None:
-        """Put one frame on disk and then into the journal.
-
-        Parameters
-        ----------
-        frame : Frame
-            With the plan's index and pattern id.
-
-        Raises
-        ------
-        DataError
-            There is no space, the frame is recorded already, or the plan has another pattern there.
-        """
+        """Put one frame of the plan on disk and then into the journal."""
         self._check_disk()
         pattern = frame.pattern_id or ""
         check_frame_place(frame.index, pattern, pattern_ids(self.plan), self._records, self.path)
@@ -415,13 +324,7 @@ class Session:
         return read_frame(self.path / record.file, record, verify)
 
     def check_kept(self) -> None:
-        """Refuse to call a session complete that somebody has removed, or taken frames from, in the meantime.
-
-        Raises
-        ------
-        DataError
-            Its journal or a frame is gone.
-        """
+        """Refuse to call a session complete that somebody has removed, or taken frames from: `DataError`."""
         needed = [JOURNAL, *(record.file for record in self.records)]
         for name in needed:
             if not (self.path / name).is_file():
@@ -493,23 +396,7 @@ class Session:
         return merged_recording(raw, [self.record(first).exposure_s for first in starts])
 
     def passes(self, verify: bool = True) -> list[Recording]:
-        """Give the frames as they are, those of each exposure by themselves.
-
-        Parameters
-        ----------
-        verify : bool
-            Whether checksums are compared with the journal's.
-
-        Returns
-        -------
-        list of Recording
-            One for each of the plan's exposures.
-
-        Raises
-        ------
-        ConfigError, DataError
-            As `recording`.
-        """
+        """Give the frames as they are, a recording for each of the plan's exposures."""
         raw, plan = self._raw(verify), self.plan
         return [
             replace(raw, plan=plan.part_at(exposure_s), frames=raw.frames[first:end])

@@ -131,45 +131,12 @@ class Target(PrintFields, _KindFields, GridFields):  # type: ignore[misc] # fiel
         return np.asarray(np.rint(255.0 * level), np.uint8)
 
     def detect(self, image: NDArray[Any]) -> Detection | None:
-        """Find the board in a grey image.
+        """Find the board in a grey image (height, width); None where it is not there as a whole.
 
-        A ChArUco board is found in part as well, others only as a whole: see `detect_part`.
-
-        Parameters
-        ----------
-        image : NDArray[Any]
-            Grey image (height, width) of any real type.
-
-        Returns
-        -------
-        Detection or None
-            Points found; None when the board is not there.
-
-        Raises
-        ------
-        CalibrationError
-            The image is not two-dimensional.
+        A ChArUco board is found in part as well.
         """
         return detect(self.layout, image)
 
     def detect_part(self, image: NDArray[Any]) -> Detection | None:
-        """Find as much of the board as a grey image shows.
-
-        Parameters
-        ----------
-        image : NDArray[Any]
-            Grey image (height, width) of any real type.
-
-        Returns
-        -------
-        Detection or None
-            Points found; None when nothing of the board is there.
-
-        Raises
-        ------
-        UnclearPart
-            There are points of a board and it is not certain which; a `CalibrationError` with the reason.
-        CalibrationError
-            The image is not two-dimensional.
-        """
+        """Find as much of the board as a grey image shows; raises `UnclearPart` where that is ambiguous."""
         return self.detect(image) or detect_part(self.layout, image)

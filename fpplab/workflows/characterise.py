@@ -267,18 +267,7 @@ def _save_and_report(
 
 
 def findings_of_poses(fitted: Characterisation) -> list[Finding]:
-    """Find what changed from pose to pose of a characterisation.
-
-    Parameters
-    ----------
-    fitted : Characterisation
-        The fit, with its solution.
-
-    Returns
-    -------
-    list of Finding
-        A lens that was not locked, a projector that drifts, or boards that moved.
-    """
+    """Find what changed from pose to pose: the lens, the projector, or boards that moved."""
     return [*_lens_findings(fitted), *_drift_findings(fitted)]
 
 

@@ -161,22 +161,7 @@ class Instrument:
         return self._run(request, observer)
 
     def run_order(self, order: ScanOrder, out: Path | str, observer: Observer) -> ScanResult:
-        """Measure what a client of a service orders; see `scan`.
-
-        Parameters
-        ----------
-        order : ScanOrder
-            What is ordered.
-        out : path or str
-            Folder of the session.
-        observer : Observer
-            Told of each stage.
-
-        Returns
-        -------
-        ScanResult
-            Points with their verdict.
-        """
+        """Measure what a client of a service orders; see `scan`."""
         from fpplab.workflows.scan import request_of_order
 
         self._renew(observer)
@@ -193,35 +178,13 @@ class Instrument:
         return scan_on_open_rig(request, observer)
 
     def calibration_of(self, file: Path | str) -> Calibration:
-        """Load a calibration, which is kept as long as its file stays as it is.
-
-        Parameters
-        ----------
-        file : path or str
-            Written by `fpplab characterise`.
-
-        Returns
-        -------
-        Calibration
-            What the file holds.
-        """
+        """Load a calibration, which is kept as long as its file stays as it is."""
         from fpplab.core.config import read_text
 
         return _calibration(Path(file), read_text(Path(file)))
 
     def next_session(self) -> Path:
-        """Name the next session of the instrument's folder.
-
-        Returns
-        -------
-        Path
-            The first of `scan_0001` … `scan_9999` that does not exist.
-
-        Raises
-        ------
-        ConfigError
-            All of them exist.
-        """
+        """Give the first of `scan_0001` … `scan_9999` that does not exist in the instrument's folder."""
         taken = {path.name for path in self._folder.glob("scan_*")}
         for number in range(1, 10_000):
             if (name := f"scan_{number:04d}") not in taken:
