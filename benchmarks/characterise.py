@@ -50,8 +50,8 @@ from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 from sim.devices import SimCamera
+from sim.items import plate_corners
 from sim.light import PatternLevels
-from sim.poses import plate_corners
 from sim.sensor import SensorModel
 from sim.world import World
 

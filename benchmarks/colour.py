@@ -28,7 +28,7 @@ from fpplab.pipeline.characterising import characterise_sessions
 from fpplab.pipeline.measuring import reconstruct_points
 from fpplab.pipeline.taking import take_or_resume_session
 from fpplab.targets import Target
-from sim.radiometry import Led, photopic_efficiency
+from sim.sensor import Led, photopic_efficiency
 from sim.world.camera import ColourFilter
 
 SIZE, SHAPE = (912, 1140), (256, 384)

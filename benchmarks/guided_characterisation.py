@@ -26,7 +26,7 @@ from fpplab.cli import console
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
-from sim.poses import board_poses
+from sim.items import board_poses
 from sim.world import PoseRules, World
 
 DEPTH_MM = (425.0, 475.0)

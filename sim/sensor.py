@@ -6,19 +6,84 @@ Photon transfer: a pixel with mean charge N electrons and gain K grey levels per
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import constants
 
 from fpplab.core.compiled import kernel
 from fpplab.core.conventions import Image, Map, full_scale, raw_dtype
 from fpplab.devices import CameraSettings
 from fpplab.patterns.mosaic import colour_factors
-from sim.radiometry import Led, gain_factor, lit_area_m2, photons_per_s
 from sim.scene import GreyScale
 from sim.world import Sensor, World
 from sim.world.projector import LedWorld
+
+LUMENS_PER_WATT = 683.0  # luminous efficacy at the peak of V(λ), lm/W: the definition of the candela
+
+
+@dataclass(frozen=True)
+class Led:
+    """Light of one colour."""
+
+    lumens: float  # luminous flux out of the projector's lens under white
+    wavelength_nm: float  # dominant wavelength in nm
+
+    @property
+    def watts(self) -> float:
+        return self.lumens / (LUMENS_PER_WATT * photopic_efficiency(self.wavelength_nm))
+
+
+def photopic_efficiency(wavelength_nm: float) -> float:
+    """Compute V(λ), the photopic luminous efficiency function (CIE 1924)."""
+    # Two lobes, each a Gaussian with different standard deviations on either side. It keeps within 0.008 of
+    # the table: 3 % from 470 to 650 nm, 7 % at 460 and 660 nm, 13 % at 450 nm and 18 % at 440 nm. Below that
+    # it fails: at 400 nm it gives three times too much.
+    broad = 0.821 * _lobe(wavelength_nm, 568.8, 46.9, 40.5)
+    green = 0.286 * _lobe(wavelength_nm, 530.9, 16.3, 31.1)
+    return broad + green
+
+
+def _lobe(wavelength: float, peak: float, below: float, above: float) -> float:
+    sigma = below if wavelength < peak else above
+    return math.exp(-0.5 * ((wavelength - peak) / sigma) ** 2)
+
+
+def lit_area_m2(size: tuple[int, int], focal_px: tuple[float, float], distance_mm: float) -> float:
+    """Compute the area that the projector's image covers on a surface that faces it."""
+    # The principal point does not matter: it only moves the rectangle on a facing plane.
+    # size (columns, rows); focal_px (fx, fy)
+    width, height = (side / focal * distance_mm for side, focal in zip(size, focal_px, strict=True))
+    return width * height * 1e-6
+
+
+def irradiance_w_m2(led: Led, lit_area_m2: float) -> float:
+    """Compute the irradiance of a facing surface over which the LED's light is spread evenly."""
+    return led.watts / lit_area_m2
+
+
+def photons_per_s(
+    leds: Sequence[Led], lit_area_m2: float, f_number: float, transmission: float, pixel_um: float
+) -> float:
+    """Compute the photon flux on an unbinned pixel at a white Lambertian surface facing the projector."""
+    share = transmission / (4 * f_number**2)
+    area = (pixel_um * 1e-6) ** 2
+    return sum(
+        irradiance_w_m2(led, lit_area_m2) * share * area / _photon_energy(led.wavelength_nm) for led in leds
+    )
+
+
+def _photon_energy(wavelength_nm: float) -> float:
+    """`h c / λ`, in J."""
+    return float(constants.h * constants.c / (wavelength_nm * 1e-9))
+
+
+def gain_factor(gain_db: float) -> float:
+    return float(10 ** (gain_db / 20))
+
 
 MANY_ELECTRONS = 1000.0
 """Charge from which shot noise is drawn as normal instead of Poisson; the neglected skewness is 3 %."""

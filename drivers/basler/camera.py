@@ -5,26 +5,70 @@ import logging
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, cast
+from weakref import WeakSet
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from pypylon import genicam, pylon
 
 from drivers.basler.families import BASLER_RAW, family_of, raw_gain_of
-from drivers.basler.frames import BufferPool
 from drivers.basler.transport import Pylon, lost_on_link
 from drivers.computer_settings import cause_in_settings
+from drivers.genicam import buffers
 from drivers.genicam import names as named
 from drivers.genicam.buffers import SPARE_BUFFERS
 from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera, message_of
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
 from drivers.genicam.options import GenicamOptions
-from drivers.genicam.pixels import PACKED
+from drivers.genicam.pixels import PACKED, unpack12
 from fpplab.core import config
+from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError, DeviceError, DisconnectedError
 from fpplab.core.files import write_text
 from fpplab.devices import DeviceInfo, Frame, State, Trigger
+
+
+class BufferPool:
+    """Number of grab buffers, and which of them are in use by arrays."""
+
+    def __init__(self, waiting: int, frame_bytes: int) -> None:
+        self.size = min(waiting, buffers.held_frames(frame_bytes)) + buffers.SPARE_BUFFERS
+        self._lent: WeakSet[_Lease] = WeakSet()
+
+    def image(self, result: Any) -> Image:
+        """Return the pixels of a grab result as an array that only the caller holds."""
+        # The array uses pylon's buffer while enough buffers remain for the transfer; otherwise, and for
+        # packed formats, it is a copy.
+        # returns (height, width)
+        if pylon.IsPacked(result.GetPixelType()):
+            packed = np.frombuffer(result.GetImageMemoryView(), np.uint8)
+            return unpack12(packed, result.GetHeight(), result.GetWidth(), result.GetPaddingX())
+        if len(self._lent) >= self.size - buffers.SPARE_BUFFERS:
+            return cast(Image, _view_buffer(result).copy())
+        lease = _Lease(result)
+        self._lent.add(lease)
+        return cast(Image, np.asarray(lease))
+
+
+class _Lease:
+    """Keeps a grab result alive for as long as an array uses its buffer."""
+
+    def __init__(self, result: Any) -> None:
+        self._view = _view_buffer(result)
+        self._result = result
+        self.__array_interface__ = self._view.__array_interface__
+
+
+def _view_buffer(result: Any) -> NDArray[Any]:
+    """Return the buffer as an array (height, width), valid while the grab result exists."""
+    height, width = result.GetHeight(), result.GetWidth()
+    dtype = np.dtype(np.uint8 if pylon.BitPerPixel(result.GetPixelType()) == 8 else np.uint16)
+    pitch = width * dtype.itemsize + result.GetPaddingX()
+    memory = result.GetImageMemoryView()
+    return np.ndarray((height, width), dtype, memory, strides=(pitch, dtype.itemsize))
 
 
 class BaslerOptions(GenicamOptions):

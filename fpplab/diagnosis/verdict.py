@@ -11,13 +11,13 @@ from typing import Any, ClassVar
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
+from fpplab.diagnosis.catalogue import known_causes
 from fpplab.diagnosis.causes.motion import MOTION, describe_motion, unseen_motion
 from fpplab.diagnosis.causes.wrong_plan import EXCESS, WRONG_PLAN
 from fpplab.diagnosis.codes import NOT_SHOWN, criteria_of_codes, findings_on_geometry, lit_pixels
 from fpplab.diagnosis.criteria import CriteriaLimits, Criterion, criteria_of, left_out
-from fpplab.diagnosis.detection import FRAME_STAGES, find_causes
 from fpplab.diagnosis.evidence import Evidence
-from fpplab.diagnosis.finding import FaultCause, Finding
+from fpplab.diagnosis.finding import DetectionStage, FaultCause, Finding
 from fpplab.diagnosis.geometry import GeometryCheck
 from fpplab.diagnosis.islands import (
     INVISIBLE_STEP,
@@ -34,6 +34,39 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
 from fpplab.phase.drift import can_show_drift
+
+FRAME_STAGES = (DetectionStage.VISIBILITY, DetectionStage.COLOUR, DetectionStage.FRAMES, DetectionStage.BLUR)
+"""Stages that need frames alone."""
+
+
+def find_causes(
+    evidence: Evidence, stages: Iterable[DetectionStage] = tuple(DetectionStage)
+) -> list[Finding]:
+    """Look for causes stage by stage, but for stages that a finding makes meaningless."""
+    findings: list[Finding] = []
+    for stage in sorted(stages):
+        if not _is_possible(stage, evidence) or any(
+            stage in finding.cause.invalidates for finding in findings
+        ):
+            continue
+        before = tuple(findings)
+        for cause in known_causes().values():
+            for detector in cause.detectors:
+                if detector.stage is not stage:
+                    continue
+                new = list(detector.find(evidence, before))
+                if detector.replaces and new:
+                    findings = [finding for finding in findings if finding.cause != cause]
+                findings += new
+    return findings
+
+
+def _is_possible(stage: DetectionStage, evidence: Evidence) -> bool:
+    if stage in (DetectionStage.REFLECTIONS, DetectionStage.POINTS):
+        return evidence.has_points
+    if stage is DetectionStage.PLAN:
+        return evidence.calibration is not None and evidence.decoded is not None
+    return True
 
 
 class VerdictLimits(LimitsSection):

@@ -13,8 +13,7 @@ from fpplab.core.errors import CapabilityError, ConfigError, FppError, SettingEr
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.setup.plan_precision import plan_precision
-from fpplab.setup.plan_preview import preview_plan
+from fpplab.setup.plan_preview import plan_precision, preview_plan
 from sim.world import World
 from tests.conformance.reference import EXPOSURE_TICK_S, READOUT_S, ReferenceCamera, ReferenceProjector
 from tests.support.commands import Command

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpplab.core import buffers, direct
+from fpplab.core import buffers, files
 from fpplab.core.files import write_large
 
 COUNT = buffers.LIMITS.min_bytes // 4 + 5
@@ -46,7 +46,7 @@ def test_no_more_is_kept_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.whole
 @pytest.mark.parametrize(
-    "size", [0, 1, direct.STAGED_BYTES, direct.STAGED_BYTES + 4097, 3 * direct.STAGED_BYTES - 1]
+    "size", [0, 1, files.STAGED_BYTES, files.STAGED_BYTES + 4097, 3 * files.STAGED_BYTES - 1]
 )
 def test_a_large_file_holds_what_was_written(tmp_path: Path, size: int) -> None:
     content = np.random.default_rng(size).integers(0, 256, size, np.uint8).tobytes()

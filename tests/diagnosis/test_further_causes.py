@@ -17,9 +17,9 @@ from fpplab.diagnosis.causes.camera_focus import CAMERA_FOCUS
 from fpplab.diagnosis.causes.interreflection import INTERREFLECTION
 from fpplab.diagnosis.causes.missing_colour import MISSING_COLOUR, colour_finding
 from fpplab.diagnosis.causes.wrong_resolution import WRONG_RESOLUTION
-from fpplab.diagnosis.detection import find_causes
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.diagnosis.finding import DetectionStage
+from fpplab.diagnosis.verdict import find_causes
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode

@@ -303,7 +303,7 @@ TARGETS: dict[str, Fuzzed] = {
     "image": Fuzzed(
         image,
         seeds.image,
-        ("fpplab.sessions.image_files", "fpplab.sessions.netpbm", "PIL", "fpplab.core.archives"),
+        ("fpplab.sessions.image_files", "fpplab.sessions.image_files", "PIL", "fpplab.core.archives"),
     ),
     "records": Fuzzed(
         records,

@@ -24,7 +24,7 @@ from fpplab.phase.code_table import CodeTable, code_table, with_bounds
 from fpplab.phase.coded_axes import sets_of_axis
 from fpplab.phase.limits import CODES
 from fpplab.phase.noise import surprising_power
-from fpplab.setup.plan_precision import plan_precision
+from fpplab.setup.plan_preview import plan_precision
 
 SIZE = 240, 160
 EVEN: dict[str, Any] = {"kind": "even", "levels": [1, 0]}

@@ -22,9 +22,9 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.points import triangulate
-from fpplab.reconstruction.ray_grid import RayGrid
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.reconstruction.uncertainty import (
+    RayGrid,
     point_covariance,
     with_uncertainty,
 )

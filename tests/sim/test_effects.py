@@ -17,7 +17,7 @@ from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.phase import wrapped_phase
 from sim.light import Light, SceneState, ShownPattern
-from sim.radiometry import photopic_efficiency
+from sim.sensor import photopic_efficiency
 from sim.worker import Blender
 from sim.world import World
 from tests.sim.conftest import Bench, card_points, grid, plain, world

@@ -8,15 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fpplab.devices import CameraSettings
-from sim.radiometry import (
+from sim.sensor import (
     Led,
+    SensorModel,
     gain_factor,
     irradiance_w_m2,
     lit_area_m2,
     photons_per_s,
     photopic_efficiency,
 )
-from sim.sensor import SensorModel
 from sim.world import Sensor
 
 GREEN = Led(lumens=100.0, wavelength_nm=525.0)

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.special import erf
 
 from fpplab.core.cholesky import solve_positive
-from fpplab.targets.point_fits import fit_centres
+from fpplab.targets.detection import fit_centres
 from fpplab.targets.profiles import PointModel, crossing_edges, disc, profile
 
 EDGES = crossing_edges(2.0)
