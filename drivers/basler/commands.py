@@ -10,6 +10,8 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import INSTRUMENTS, Commands, Force, Json
 from fpplab.cli.completion import existing_file
+from fpplab.core.errors import DeviceError, DisconnectedError
+from fpplab.core.files import need_suffix, refuse_existing
 
 if TYPE_CHECKING:
     from drivers.basler.camera import CameraAsLeft
@@ -40,8 +42,6 @@ def save_settings(
 
     Example: `fpplab camera save camera.pfs`
     """
-    from fpplab.core.files import need_suffix, refuse_existing
-
     need_suffix(file, ".pfs")
     refuse_existing(file, force)
     with _select_camera(serial) as device:
@@ -74,7 +74,6 @@ def _select_camera(serial: str | None) -> CameraAsLeft:
     """Return the camera of that serial number, or the only one, not open yet, or raise `DeviceError`."""
     from drivers.basler.camera import CameraAsLeft
     from drivers.basler.transport import Pylon
-    from fpplab.core.errors import DeviceError, DisconnectedError
 
     if serial is None:
         serials = sorted(Pylon().cameras())

@@ -12,7 +12,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import INSTRUMENTS, Commands, Json
 from fpplab.core.confirmation import ConfirmationRequired, confirm, how_to_confirm
-from fpplab.core.errors import LimitError
+from fpplab.core.errors import ConfigError, LimitError
 
 if TYPE_CHECKING:
     from drivers.dlp4500.controller import Controller
@@ -180,7 +180,6 @@ def show_test_pattern(
     Example: `fpplab dlp4500 test-pattern grid`
     """
     from drivers.dlp4500.protocol import TEST_PATTERNS
-    from fpplab.core.errors import ConfigError
 
     if name != "off" and name not in TEST_PATTERNS:
         raise ConfigError(f"there is no test pattern '{name}'; there are {', '.join(TEST_PATTERNS)} and off")

@@ -12,6 +12,7 @@ from fpplab.cli.app import Force, Json, Out
 from fpplab.cli.completion import existing_config, existing_file, names_of
 from fpplab.core.confirmation import ConfirmationRequired, can_confirm, confirm, how_to_confirm
 from fpplab.core.errors import Cancelled, ConfigError
+from fpplab.core.files import need_suffix, refuse_existing, write_atomic, write_text
 
 
 @dlp4500.command()
@@ -46,7 +47,6 @@ def build(
     from drivers.dlp4500.sequence import SIZE
     from fpplab.core import config
     from fpplab.core.conventions import Lattice
-    from fpplab.core.files import need_suffix, refuse_existing, write_atomic, write_text
     from fpplab.patterns.fringes import make_patterns, uniform_patterns
     from fpplab.patterns.plan import Plan
     from fpplab.setup.rig_check.marker import marker

@@ -9,7 +9,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Literal
 
 from fpplab.core.errors import CalibrationError, ConfigError
-from fpplab.core.files import removed_on_failure
+from fpplab.core.files import refuse_existing, removed_on_failure
 from fpplab.results.observer import Observer
 from fpplab.workflows.pose_causes import diagnosed_poses, with_causes
 
@@ -85,7 +85,6 @@ def run_characterisation(
 
 def check_characterisation_input(request: CharacterisationRequest) -> None:
     """Refuse outputs that exist already, and a plan that does not suit a board."""
-    from fpplab.core.files import refuse_existing
     from fpplab.report.page import is_report
 
     if sum(map(bool, (request.sessions, request.rig, request.points))) != 1:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fpplab.core.files import need_suffix, refuse_existing
 from fpplab.results.observer import Observer
 
 if TYPE_CHECKING:
@@ -31,8 +32,6 @@ class CheckRequest:
 
 def run_check(request: CheckRequest, observer: Observer | None = None) -> CheckResult:
     """Open a rig, find out what is wrong with it, and write report and pictures where they are asked for."""
-    from fpplab.core.files import need_suffix, refuse_existing
-
     for path in (request.pictures, request.page):
         if path:
             refuse_existing(path, request.force)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fpplab.core.files import refuse_existing
 from fpplab.results.observer import Observer
 
 if TYPE_CHECKING:
@@ -33,7 +34,6 @@ def run_board_check(request: BoardCheckRequest, observer: Observer | None = None
     """Take a pose of the board; record that it confirms the calibration, or correct a copy of it."""
     from fpplab.calibration.model import Calibration
     from fpplab.characterisation import judged_board
-    from fpplab.core.files import refuse_existing
     from fpplab.pipeline.taking import take_or_resume_session
     from fpplab.results.check import BoardCheckResult
     from fpplab.workflows.correct import CorrectionRequest, run_correction

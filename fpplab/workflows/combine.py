@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fpplab.core.files import refuse_existing
 from fpplab.results.observer import Observer
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ def run_combination(request: CombinationRequest, observer: Observer | None = Non
     """Find the mean of several calibrations and what varies between them, and write the new one."""
     from fpplab.calibration.model import Calibration
     from fpplab.characterisation import combine
-    from fpplab.core.files import refuse_existing
     from fpplab.results.characterisation import CombinationResult
 
     observer = observer or Observer()

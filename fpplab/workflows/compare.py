@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fpplab.core.errors import DataError
+from fpplab.core.files import need_suffix, refuse_existing
 from fpplab.core.session_names import CALIBRATION, CLOUD, JOURNAL
 from fpplab.results.observer import Observer
 
@@ -64,8 +65,6 @@ def run_comparison(request: ComparisonRequest, observer: Observer | None = None)
 
 def check_comparison_output(request: ComparisonRequest) -> None:
     """Refuse an output that cannot be written, or exists already."""
-    from fpplab.core.files import need_suffix, refuse_existing
-
     for path, suffixes in ((request.out, (".png", ".ply")), (request.page, (".html",))):
         if path:
             need_suffix(path, *suffixes)

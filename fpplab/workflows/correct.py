@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fpplab.core.files import refuse_existing, removed_on_failure
 from fpplab.results.observer import Observer
 
 if TYPE_CHECKING:
@@ -33,7 +34,6 @@ class CorrectionRequest:
 def run_correction(request: CorrectionRequest, observer: Observer | None = None) -> CorrectionResult:
     """Find what has changed since a calibration was made, and write the corrected one and a report."""
     from fpplab.calibration.model import Calibration
-    from fpplab.core.files import refuse_existing, removed_on_failure
     from fpplab.pipeline.characterising import correct_by_sessions
     from fpplab.pipeline.marks import locate_session_marks
     from fpplab.report.characterisation import write_judgement_report

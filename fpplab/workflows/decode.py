@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fpplab.core.errors import ConfigError
+from fpplab.core.files import need_suffix, refuse_existing
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
 
@@ -31,9 +33,6 @@ class DecodingRequest:
 
 def run_decoding(request: DecodingRequest, observer: Observer | None = None) -> DecodingResult:
     """Decode a session, judge the maps and write them; useless ones only as recorded."""
-    from fpplab.core.errors import ConfigError
-    from fpplab.core.files import need_suffix, refuse_existing
-
     need_suffix(request.out, ".npz")
     if (request.reference is None) != (request.plane is None):
         raise ConfigError("--reference and --plane: one is given without the other; heights need both")

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fpplab.core.errors import ConfigError
+from fpplab.core.files import refuse_existing, write_text
 from fpplab.core.session_names import CALIBRATION, REPORT
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
@@ -40,7 +42,6 @@ class DemoRequest:
 def run_demo(request: DemoRequest, observer: Observer | None = None) -> DemoResult:
     """Measure response, characterisation and artefacts, compare with the true shapes, and write a report."""
     from fpplab import artefacts
-    from fpplab.core.files import refuse_existing, write_text
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.report.demo import write_demo_report
@@ -94,7 +95,6 @@ def _scan_artefact(
     from fpplab import artefacts
     from fpplab.artefacts.recognition import recognise
     from fpplab.comparison import compare
-    from fpplab.core.errors import ConfigError
     from fpplab.pipeline.measuring import finish_scan
     from fpplab.pipeline.taking import take_or_resume_session
     from fpplab.reconstruction.points import triangulate

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fpplab.core.errors import ConfigError
+from fpplab.core.files import refuse_existing, removed_on_failure, write_atomic
 from fpplab.results.observer import Observer
 
 if TYPE_CHECKING:
@@ -46,7 +47,6 @@ def run_gamma(request: GammaRequest, observer: Observer | None = None) -> Respon
         observer.message(f"left out: {reason}")
     observer.result(result)
 
-    from fpplab.core.files import removed_on_failure, write_atomic
     from fpplab.report.response import write_response_report
     from fpplab.report.response_figures import response_fit
 
@@ -60,7 +60,6 @@ def run_gamma(request: GammaRequest, observer: Observer | None = None) -> Respon
 
 def check_gamma_output(request: GammaRequest) -> None:
     """Refuse an output that exists already, or has the name of another."""
-    from fpplab.core.files import refuse_existing
     from fpplab.report.page import is_report
 
     for path, what in ((request.picture, "picture"), (request.page, "report")):

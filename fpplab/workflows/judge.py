@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fpplab.core.files import refuse_existing
 from fpplab.results.observer import Observer
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ class JudgementRequest:
 def run_judgement(request: JudgementRequest, observer: Observer | None = None) -> JudgementResult:
     """Compare the errors in other poses with those that the calibration predicts."""
     from fpplab.calibration.model import Calibration
-    from fpplab.core.files import refuse_existing
     from fpplab.pipeline.characterising import judge_sessions
     from fpplab.report.characterisation import write_judgement_report
     from fpplab.results.characterisation import JudgementResult

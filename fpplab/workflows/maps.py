@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from fpplab.core.errors import DataError
 from fpplab.core.file_kinds import naming_other_kinds
+from fpplab.core.files import need_suffix, refuse_existing
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
 
@@ -31,7 +32,6 @@ class MapsRequest:
 def run_triangulation(request: MapsRequest, observer: Observer | None = None) -> MapsResult:
     """Triangulate maps and write the cloud; without frames its points are never judged good."""
     from fpplab.clouds import CLOUD_SUFFIXES, save_cloud
-    from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.diagnosis.maps import diagnose_without_frames
     from fpplab.phase import Decoded
     from fpplab.reconstruction.points import triangulate

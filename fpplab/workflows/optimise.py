@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from fpplab.core.errors import ConfigError
 from fpplab.core.extras import need_extra
+from fpplab.core.files import need_suffix
 from fpplab.optimisation.scope import SearchScope
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
@@ -88,7 +89,6 @@ def run_optimisation(request: OptimisationRequest, observer: Observer | None = N
 
 def prepare_output(request: OptimisationRequest) -> None:
     """Refuse to overwrite a finished search; an unfinished one is continued."""
-    from fpplab.core.files import need_suffix
     from fpplab.optimisation.run import journal_paths, plan_paths
 
     out, scope = request.out, request.scope

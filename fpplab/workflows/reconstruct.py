@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fpplab.core.arguments import object_or_file
-from fpplab.core.files import removed_on_failure
+from fpplab.core.files import need_suffix, refuse_existing, removed_on_failure
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
@@ -108,7 +108,6 @@ def _begun_page(page: Path | None) -> Iterator[None]:
 def check_output(request: ReconstructionRequest) -> None:
     """Refuse an output that cannot be written, or exists already."""
     from fpplab.clouds import CLOUD_SUFFIXES
-    from fpplab.core.files import need_suffix, refuse_existing
 
     if request.out is None:
         return

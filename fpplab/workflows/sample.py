@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fpplab.core.errors import ConfigError
+from fpplab.core.files import refuse_existing, write_atomic, write_text
 from fpplab.core.session_names import CALIBRATION, REPORT
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
@@ -70,7 +72,6 @@ class SampleRequest:
 
 def make_sample(request: SampleRequest, observer: Observer | None = None) -> dict[str, Any]:
     """Record a board and a part on the virtual bench, and write them with the truth."""
-    from fpplab.core.files import refuse_existing, write_text
     from fpplab.patterns.plan import Plan
 
     observer, out, stopwatch = observer or Observer(), request.out, Stopwatch()
@@ -89,7 +90,6 @@ def make_sample(request: SampleRequest, observer: Observer | None = None) -> dic
 def _characterise(request: SampleRequest, observer: Observer) -> Calibration:
     from fpplab.calibration.model import Calibration
     from fpplab.core.config import find_config
-    from fpplab.core.files import write_text
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.targets import Target
@@ -131,8 +131,6 @@ def _write_truth(out: Path, observer: Observer) -> None:
     import numpy as np
 
     from fpplab.artefacts import save_stl
-    from fpplab.core.errors import ConfigError
-    from fpplab.core.files import write_atomic
     from fpplab.devices.rig import Rig
     from fpplab.devices.simulation import Predictable
     from fpplab.pipeline.true_maps import trace_true_maps

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fpplab.core.files import refuse_existing
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import CLOUD, REPORT
 from fpplab.results.observer import Observer
@@ -171,7 +172,6 @@ class ProgressObserver(Observer):
 
 def check_scan_input(request: ScanRequest) -> None:
     """Refuse what can be refused before the rig is opened."""
-    from fpplab.core.files import refuse_existing
     from fpplab.sessions.session import Session
 
     _check_plan_and_folder(request)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.files import need_suffix, refuse_existing
 from fpplab.core.session_names import CLOUD, JOURNAL
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
@@ -73,8 +74,6 @@ def run_acceptance(request: AcceptanceRequest, observer: Observer | None = None)
 
 def check_acceptance_input(request: AcceptanceRequest) -> None:
     """Refuse an output that exists already, and points from nowhere or from two places."""
-    from fpplab.core.files import need_suffix, refuse_existing
-
     need_suffix(request.out, ".html")
     refuse_existing(request.out, request.force)
     if bool(request.spheres or request.planes) == bool(request.rig):

@@ -17,6 +17,7 @@ from fpplab.cli.lists import VariadicOptionsCommand
 from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import ConfigError
 from fpplab.core.progress import Progress, Say
+from fpplab.core.session_names import RECORDING
 from sim.matching.observer import MatchObserver
 
 if TYPE_CHECKING:
@@ -172,7 +173,6 @@ def _observe_matching(
 ) -> ConsoleMatchObserver:
     if not (with_viewer or keep_open):
         return ConsoleMatchObserver()
-    from fpplab.core.session_names import RECORDING
     from sim.matching.view import MatchingView
 
     return ConsoleMatchObserver(open_viewer(context, MatchingView, with_viewer, keep_open, out / RECORDING))

@@ -7,6 +7,8 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Commands, Force, Json, Out, RigName
+from fpplab.core.files import need_suffix, refuse_existing, write_atomic
+from fpplab.core.session_names import CLOUD
 
 twin = typer.Typer(
     cls=Commands,
@@ -48,7 +50,6 @@ def write_archive(out: Out, force: Force = False, json: Json = False) -> None:
 
     Example: `fpplab twin extension --out fpplab-blender.zip`
     """
-    from fpplab.core.files import need_suffix, refuse_existing, write_atomic
     from sim.extension import archive_files, write_extension
 
     need_suffix(out, ".zip")
@@ -76,7 +77,6 @@ def describe_rig(
 
     Example: `fpplab twin describe --rig rig_demo --stripes 20 --out preview.npz`
     """
-    from fpplab.core.files import need_suffix, refuse_existing
     from sim.preview import Arrangement, arrangement_summary, load_simulated_rig, save_preview
 
     need_suffix(out, ".npz")
@@ -109,7 +109,6 @@ def export_blend(
 
     Example: `fpplab twin export --rig matched/rig.yaml --item pyramid --out matched.blend`
     """
-    from fpplab.core.files import need_suffix, refuse_existing
     from sim.preview import Arrangement, arrangement_summary, export_preview, load_simulated_rig, make_preview
 
     need_suffix(out, ".blend")
@@ -149,7 +148,6 @@ def record_on_twin(
     Example: `fpplab twin record --rig rig_demo --item pyramid --baseline 165 --stripes 48 --out pyramid`
     """
     from fpplab.calibration.model import Calibration
-    from fpplab.core.session_names import CLOUD
     from fpplab.sessions.session import require_session_folder
     from sim.preview import Arrangement, arrangement_summary, load_simulated_rig
     from sim.preview_scan import record_scan

@@ -9,6 +9,7 @@ from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, app
 from fpplab.cli.completion import option
 from fpplab.core.errors import ConfigError
+from fpplab.core.files import need_suffix, refuse_existing
 
 _SHAPES = Path(__file__).parents[2] / "artefacts" / "shapes"
 _NAMES = sorted(path.stem for path in _SHAPES.glob("[!_]*.py"))
@@ -38,7 +39,6 @@ def artefact_command(
     0.2 --bead 0.03 --out printed.stl`
     """
     from fpplab import artefacts
-    from fpplab.core.files import need_suffix, refuse_existing
 
     need_suffix(out, ".stl")
     refuse_existing(out, force)

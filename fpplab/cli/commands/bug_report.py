@@ -8,6 +8,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import START, Force, Json, Out, app
 from fpplab.cli.completion import option
+from fpplab.core.files import need_suffix, refuse_existing
 
 
 @app.command("bug-report", rich_help_panel=START)
@@ -30,7 +31,6 @@ def bug_report_command(
 
     Example: `fpplab bug-report pyramid run.log --out report.zip`
     """
-    from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.sessions.bug_report import write_bug_report
 
     need_suffix(out, ".zip")

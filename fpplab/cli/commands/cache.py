@@ -9,6 +9,8 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Commands, Json, app
+from fpplab.core.system import cache_directory
+from fpplab.core.units import readable_bytes
 
 if TYPE_CHECKING:
     from fpplab.core.caches import CacheFolder
@@ -47,7 +49,6 @@ def clear_command(context: typer.Context, json: Json = False) -> None:
 
 
 def _summary(folders: list[CacheFolder]) -> dict[str, Any]:
-    from fpplab.core.system import cache_directory
 
     return {
         "directory": cache_directory(),
@@ -57,8 +58,6 @@ def _summary(folders: list[CacheFolder]) -> dict[str, Any]:
 
 
 def _show(folders: list[CacheFolder], title: str) -> None:
-    from fpplab.core.system import cache_directory
-    from fpplab.core.units import readable_bytes
 
     if not folders:
         console.stdout.print(f"{cache_directory()}: nothing is kept")

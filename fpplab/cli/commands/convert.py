@@ -9,6 +9,8 @@ from fpplab.cli import console
 from fpplab.cli.app import PREPARE, CameraSize, Force, Json, Out, ProjectorLattice, ProjectorSize, app
 from fpplab.cli.completion import existing_file, option
 from fpplab.core.errors import ConfigError
+from fpplab.core.files import need_suffix, refuse_existing, write_text
+from fpplab.core.units import MM
 
 
 @app.command("convert", rich_help_panel=PREPARE)
@@ -45,8 +47,6 @@ def convert_command(
     from fpplab.calibration.dialects import is_own
     from fpplab.calibration.interchange import import_calibration, to_opencv
     from fpplab.calibration.model import Calibration
-    from fpplab.core.files import need_suffix, refuse_existing, write_text
-    from fpplab.core.units import MM
 
     own = [file for file in files if is_own(file)]
     if not own:

@@ -12,6 +12,7 @@ from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Force, Json, app
 from fpplab.cli.completion import existing_file, option
 from fpplab.core.errors import ConfigError
+from fpplab.core.files import make_directory, need_suffix, refuse_existing
 
 if TYPE_CHECKING:
     from fpplab.core.tables import Row
@@ -52,8 +53,6 @@ def export_command(
     Examples: `fpplab export scan --out part.e57`;
     `fpplab export calibration.yaml --layout ros --out ros`; `fpplab export compare.json --out tables`
     """
-    from fpplab.core.files import refuse_existing
-
     refuse_existing(out, force and bool(out.suffix))
     kind = _kind_of(source)
     if layout is not None and kind != "calibration":
@@ -109,7 +108,6 @@ def _export_calibration(source: Path, out: Path, layout: str | None) -> dict[str
 
 
 def _export_tables(source: Path, out: Path, name: str | None) -> dict[str, Any]:
-    from fpplab.core.files import make_directory, need_suffix
     from fpplab.core.tables import read_tables, write_csv
 
     tables = read_tables(source)

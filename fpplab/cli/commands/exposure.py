@@ -8,6 +8,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, PlanName, RigName, app
 from fpplab.cli.completion import option
+from fpplab.core.files import need_suffix, refuse_existing, write_text
 
 
 @app.command("exposure", rich_help_panel=PREPARE)
@@ -36,7 +37,6 @@ def exposure_command(
     """
     from fpplab.calibration.model import Calibration
     from fpplab.core.config import dump
-    from fpplab.core.files import need_suffix, refuse_existing, write_text
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.setup.exposures import choose_exposures, measure_light, um_per_px

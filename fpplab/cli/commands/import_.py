@@ -21,6 +21,7 @@ from fpplab.cli.app import (
 )
 from fpplab.cli.completion import config_option, option
 from fpplab.core.errors import ConfigError
+from fpplab.core.files import need_suffix, refuse_existing
 
 
 @app.command("import", rich_help_panel=MEASURE)
@@ -120,7 +121,6 @@ def _import_maps(
     x: Path | None, y: Path | None, period: float | None, sigma: float | None,
     projector_size: tuple[int, int] | None, out: Path, force: bool, json: bool, unused: dict[str, object],
 ) -> None:  # fmt: skip
-    from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.phase.phase_maps import PhaseMapSource, import_phase_maps
 
     for name, value in unused.items():

@@ -25,6 +25,7 @@ from fpplab.cli.app import (
 )
 from fpplab.cli.completion import existing_config, names_of, option
 from fpplab.core.errors import DataError
+from fpplab.core.files import need_suffix, refuse_existing, write_atomic, write_text
 
 plan_app = typer.Typer(
     cls=Commands,
@@ -70,7 +71,6 @@ def show_command(
     Example: `fpplab plan show plan_paper --rig rig_demo --out patterns.png`
     """
     from fpplab.calibration.model import Calibration
-    from fpplab.core.files import need_suffix, refuse_existing, write_atomic
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.setup.plan_preview import preview_plan
@@ -126,7 +126,6 @@ def fine_command(
     """
     from fpplab.calibration.model import Calibration
     from fpplab.core.config import dump
-    from fpplab.core.files import need_suffix, refuse_existing, write_text
     from fpplab.phase.fine_plan import fine_plan
     from fpplab.pipeline.depth import given_depth
 
@@ -166,7 +165,6 @@ def guess_command(
     Example: `fpplab plan guess images --frames '{index:02d}.png' --projector-size 912 1140 --out p.yaml`
     """
     from fpplab.core.config import dump
-    from fpplab.core.files import need_suffix, refuse_existing, write_text
     from fpplab.diagnosis.plan import guess_plan
     from fpplab.patterns.fringe_sets import FringeSet
     from fpplab.sessions.image_selection import ImageSelection, numbers_of

@@ -21,6 +21,7 @@ from fpplab.cli.app import (
 )
 from fpplab.cli.completion import existing_data, option
 from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_measurement
+from fpplab.core.errors import ConfigError
 
 
 @app.command("reconstruct", rich_help_panel=MEASURE)
@@ -98,7 +99,6 @@ def _triangulate_maps(
     maps: Path, calibration: Path, out: Path, force: bool, json: bool, unused: dict[str, object]
 ) -> None:
     from fpplab.calibration.model import Calibration
-    from fpplab.core.errors import ConfigError
     from fpplab.workflows.maps import MapsRequest, run_triangulation
 
     for name, value in unused.items():

@@ -12,6 +12,7 @@ from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Commands, Force, Json, Out, PlanName, RigName, app
 from fpplab.cli.completion import option
 from fpplab.core.errors import ConfigError, DeviceError
+from fpplab.core.files import need_suffix, refuse_existing, write_text
 
 if TYPE_CHECKING:
     from fpplab.setup.display_timing import DisplayTiming
@@ -51,7 +52,6 @@ def new_command(
 
     Example: `fpplab rig new --out rig.yaml`
     """
-    from fpplab.core.files import need_suffix, refuse_existing, write_text
     from fpplab.devices.discovery import connected_devices
     from fpplab.setup.new_rig import RigSetup
 

@@ -26,7 +26,9 @@ from fpplab.cli.app import (
 )
 from fpplab.cli.completion import option
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_measurement
+from fpplab.core.errors import ConfigError
 from fpplab.core.progress import no_progress
+from fpplab.core.session_names import RECORDING
 
 if TYPE_CHECKING:
     from fpplab.service.client import ServiceClient
@@ -93,7 +95,6 @@ class Watching(NamedTuple):
 
 def _scan_here(context: typer.Context, rig: str, order: ScanOrder, watching: Watching, json: bool) -> None:
     from fpplab.calibration.model import Calibration
-    from fpplab.core.session_names import RECORDING
     from fpplab.devices.rig import Rig
     from fpplab.workflows.scan import preview_scan, request_of_order, run_scan
 
@@ -112,7 +113,6 @@ def _scan_here(context: typer.Context, rig: str, order: ScanOrder, watching: Wat
 def _scan_by_service(rig: str, order: ScanOrder, is_viewed: bool, json: bool) -> bool:
     """Have the rig's service measure, if one runs; return whether it has."""
     from fpplab.core.config import find_config
-    from fpplab.core.errors import ConfigError
     from fpplab.service.client import ServiceClient
 
     file = find_config(rig, "rig")

@@ -9,6 +9,7 @@ from typing import Annotated
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Json, RigName, app
 from fpplab.cli.completion import option
+from fpplab.core.extras import need_extra
 
 
 @app.command("serve", rich_help_panel=MEASURE)
@@ -61,8 +62,6 @@ def serve_command(
 
     Example: `fpplab serve --rig rig_demo --calibration calibration.yaml`
     """
-    from fpplab.core.extras import need_extra
-
     for module in ("uvicorn", "fastapi", "fastapi_offline"):
         need_extra(module)
     from fpplab.service.queue import ScanQueue

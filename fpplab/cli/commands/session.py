@@ -10,6 +10,7 @@ from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Commands, Json, app
 from fpplab.cli.completion import existing_data
 from fpplab.core.errors import DataError
+from fpplab.core.units import readable_bytes
 
 SessionPath = Annotated[
     Path, typer.Argument(metavar="SESSION", help="Session folder.", callback=existing_data)
@@ -33,7 +34,6 @@ def info_command(session: SessionPath, json: Json = False) -> None:
 
 
 def _show(description: dict[str, Any]) -> None:
-    from fpplab.core.units import readable_bytes
 
     origin = description["origin"] or {}
     size = description["size"]

@@ -9,6 +9,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, app
 from fpplab.cli.completion import existing_config, names_of, option
+from fpplab.core.files import refuse_existing
 
 
 @app.command("target", rich_help_panel=PREPARE)
@@ -33,7 +34,6 @@ def target_command(
 
     Examples: `fpplab target target_paper --out board.pdf`; `fpplab target marks --out marks.pdf`
     """
-    from fpplab.core.files import refuse_existing
     from fpplab.targets import Target
     from fpplab.targets.printing import print_target
 

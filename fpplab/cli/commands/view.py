@@ -12,6 +12,8 @@ from fpplab.cli.app import MEASURE, Force, Json, app
 from fpplab.cli.completion import existing_data, option
 from fpplab.core.errors import ConfigError
 from fpplab.core.extras import need_extra
+from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.session_names import CALIBRATION, JOURNAL, RECORDING
 
 if TYPE_CHECKING:
     from fpplab.viewer.recorded import CloudErrors
@@ -48,8 +50,6 @@ def view_command(
     Example: `fpplab view pyramid --mesh pyramid.stl --align`
     """
     from fpplab.calibration.model import Calibration
-    from fpplab.core.files import need_suffix, refuse_existing
-    from fpplab.core.session_names import CALIBRATION, JOURNAL, RECORDING
     from fpplab.sessions.session import Session
     from fpplab.viewer.recorded import view_recording, view_session
 
