@@ -82,9 +82,9 @@ def is_lit_in_view(world: World, setup: SceneState) -> bool:
     vertices, faces = item_shape(world, setup.item)
     held = setup.held or item_poses(world, setup.item)[setup.pose]
     points = held.apply(_spread_points(vertices[faces]))
-    seen = world.camera_model().sees(points)
+    in_view = world.camera_model().sees(points)
     lit = world.projector_model().sees(points, setup.T_projector_camera(world))
-    return bool(np.any(seen & lit))
+    return bool(np.any(in_view & lit))
 
 
 def _optics(model: Pinhole) -> PinholeOptics:

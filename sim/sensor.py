@@ -167,11 +167,11 @@ def colour_shares(world: World, item: str, led: str | None = None) -> Map:
     light /= sum(_photons(leds[name]) for name in world.projector.lit)
     if item in world.items and (colour := world.material_of(item).colour):
         light = light * np.array(colour)
-    shape, seen = world.camera.size[::-1], world.camera.bayer
-    if seen is None:
+    shape, bayer = world.camera.size[::-1], world.camera.bayer
+    if bayer is None:
         return np.full(shape, light.sum(), np.float32)
-    red, green, blue = (float(light @ part) for part in (seen.red, seen.green, seen.blue))
-    return colour_factors(shape, seen.pattern, (red, green, blue))
+    red, green, blue = (float(light @ part) for part in (bayer.red, bayer.green, bayer.blue))
+    return colour_factors(shape, bayer.pattern, (red, green, blue))
 
 
 def _photons(led: LedWorld) -> float:

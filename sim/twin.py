@@ -149,11 +149,11 @@ class Twin:
 
     def with_filter(self, bayer: Bayer | None, white: tuple[float, float, float] | None) -> Twin:
         """Make a twin whose camera has a Bayer filter that sees white light in these shares, or none."""
-        seen = None
+        colour_filter = None
         if bayer is not None and white is not None:
             red, green, blue = ((share / max(white),) * 3 for share in white)
-            seen = ColourFilter(pattern=bayer, red=red, green=green, blue=blue)
-        camera = self.nominal.camera.model_copy(update={"bayer": seen})
+            colour_filter = ColourFilter(pattern=bayer, red=red, green=green, blue=blue)
+        camera = self.nominal.camera.model_copy(update={"bayer": colour_filter})
         nominal = self.nominal.model_copy(update={"camera": camera})
         return replace(self, nominal=nominal, world=world_of(nominal, self.board, self.parameters))
 

@@ -71,26 +71,26 @@ class GenicamCamera(Camera):
         if self._is_gone():
             return self._disconnected(operation)
         cause, remedy = self._cause_in_settings() or ("", "close it and open it again")
-        found = f"{self.LIBRARY} says: {message_of(error)}{cause and '; '}{cause}"
-        return DeviceError(self.name, operation, found, remedy)
+        problem = f"{self.LIBRARY} says: {message_of(error)}{cause and '; '}{cause}"
+        return DeviceError(self.name, operation, problem, remedy)
 
     def _check_connected(self, operation: str) -> None:
         if self._is_gone():
             raise self._disconnected(operation)
 
     def _disconnected(self, operation: str) -> DisconnectedError:
-        found = "the camera was unplugged or switched off"
-        return DisconnectedError(self.name, operation, found, "plug it in and open it again")
+        problem = "the camera was unplugged or switched off"
+        return DisconnectedError(self.name, operation, problem, "plug it in and open it again")
 
     def _damaged(self, description: str) -> FrameLossError:
         cable = "check the cable, and the USB controller or network; take the frames again"
         cause, remedy = self._cause_in_settings() or ("", cable)
-        found = f"frame {self._taken} is damaged: {description}{cause and '; '}{cause}"
-        return FrameLossError(self.name, "read", found, remedy)
+        problem = f"frame {self._taken} is damaged: {description}{cause and '; '}{cause}"
+        return FrameLossError(self.name, "read", problem, remedy)
 
     def _never_ready(self, operation: str) -> DeviceTimeoutError:
-        found = "the camera does not become ready for a trigger"
-        return DeviceTimeoutError(self.name, operation, found, "close it and open it again")
+        problem = "the camera does not become ready for a trigger"
+        return DeviceTimeoutError(self.name, operation, problem, "close it and open it again")
 
     def _no_frame(self, trigger: Trigger, reason: str) -> DeviceTimeoutError:
         cable = "check the trigger cable; 'fpplab check' tells whether the camera was not ready yet"

@@ -214,10 +214,10 @@ class _Grid:
             ]
             spread = np.linalg.qr(np.stack(of_all, axis=1), mode="r")
             whitener = np.swapaxes(np.linalg.inv(spread), 2, 3)
-            seen = np.einsum("gkij,kj->gki", whitener, x).reshape(len(varied), -1, 1)
+            whitened = np.einsum("gkij,kj->gki", whitener, x).reshape(len(varied), -1, 1)
             q, r = np.linalg.qr(whitener.reshape(len(varied), -1, x.shape[1]))
-            root, along = np.linalg.inv(r), np.swapaxes(q, 1, 2) @ seen
-            misfit = np.sum((seen - q @ along) ** 2, axis=(1, 2))
+            root, along = np.linalg.inv(r), np.swapaxes(q, 1, 2) @ whitened
+            misfit = np.sum((whitened - q @ along) ** 2, axis=(1, 2))
             logarithms = [np.log(np.abs(np.diagonal(m, axis1=-2, axis2=-1))) for m in (whitener, r)]
             likelihoods.append(logarithms[0].sum(axis=(1, 2)) - logarithms[1].sum(axis=1) - 0.5 * misfit)
             mean, covariance = (root @ along)[..., 0], root @ np.swapaxes(root, 1, 2)
@@ -253,22 +253,22 @@ def _quantities(
     calibration: Calibration, at: CalibrationAsFitted, names: Sequence[str]
 ) -> dict[str, tuple[str, Floats]]:
     """Units, and derivatives (n,) by the parameters."""
-    found = {}
+    quantities = {}
     for name, row in zip(names, np.eye(len(names)), strict=True):
         term = name.rpartition(".")[2]
         unit = next((unit for unit, terms in UNITS.items() if term in terms), "")
-        found[name] = unit, np.degrees(row) if unit == "deg" else row
+        quantities[name] = unit, np.degrees(row) if unit == "deg" else row
     translation = calibration.T_projector_camera.translation
     baseline = np.append(np.zeros(len(names) - 3), translation / calibration.baseline_mm)
-    found["baseline"] = "mm", baseline
+    quantities["baseline"] = "mm", baseline
     places = _seen_places(calibration)
     if places is not None:
         moved = moved_points(at.devices, at.level, places).reshape(len(places), 3, -1)
-        for name, one, other in (("width", 0, 1), ("height", 2, 3), ("depth", 4, 5)):
-            apart = places[other] - places[one]
+        for name, start, end in (("width", 0, 1), ("height", 2, 3), ("depth", 4, 5)):
+            apart = places[end] - places[start]
             length = float(np.linalg.norm(apart))
-            found[f"{name} of {length:.0f} mm"] = "mm", apart / length @ (moved[other] - moved[one])
-    return found
+            quantities[f"{name} of {length:.0f} mm"] = "mm", apart / length @ (moved[end] - moved[start])
+    return quantities
 
 
 def _seen_places(calibration: Calibration) -> Floats | None:
@@ -277,11 +277,11 @@ def _seen_places(calibration: Calibration) -> Floats | None:
     u, v = np.meshgrid(np.linspace(0, width - 1, 17), np.linspace(0, height - 1, 13))
     slopes = calibration.camera.normalise(np.stack([u, v], axis=-1).reshape(-1, 2))
     rays = np.column_stack([slopes, np.ones(len(slopes))])[np.isfinite(slopes).all(axis=1)]
-    seen = [
+    visible = [
         places[calibration.projector.sees(places, calibration.T_projector_camera)]
         for places in (factor * calibration.baseline_mm * rays for factor in DISTANCES)
     ]
-    most = max(seen, key=len)
+    most = max(visible, key=len)
     if len(most) < 2:
         return None
     ends = [most[pick(most[:, axis])] for axis in (0, 1) for pick in (np.argmin, np.argmax)]
@@ -292,14 +292,14 @@ def _seen_places(calibration: Calibration) -> Floats | None:
 def _varying(
     unit: str, slope: Floats, values: Floats, stated: Floats, between: Floats, covariance: Floats
 ) -> Varying:
-    seen, variances = values @ slope, np.sum((slope @ stated) ** 2, axis=1)
-    mean = np.average(seen, weights=1.0 / variances)
-    misfit = float(np.sum((seen - mean) ** 2 / variances))
+    projected, variances = values @ slope, np.sum((slope @ stated) ** 2, axis=1)
+    mean = np.average(projected, weights=1.0 / variances)
+    misfit = float(np.sum((projected - mean) ** 2 / variances))
     return Varying(
         unit,
         float(np.sqrt(variances.mean())),
-        float(seen.std(ddof=1)),
+        float(projected.std(ddof=1)),
         float(np.sqrt(slope @ between @ slope)),
         float(np.sqrt(slope @ covariance @ slope)),
-        float(chi2.sf(misfit, len(seen) - 1)),
+        float(chi2.sf(misfit, len(projected) - 1)),
     )

@@ -169,12 +169,12 @@ class _Residuals:
         design = np.vstack([self.triangle[:, 1:] @ errors, np.eye(shape)])
         observed = np.append(self.triangle[:, 0], np.zeros(shape))
         orthogonal, root = np.linalg.qr(design)
-        seen = orthogonal.T @ observed
+        explained = orthogonal.T @ observed
         inverse = solve_triangular(root, np.eye(shape))[-count:]
         half_logarithm = float(np.sum(np.log(np.abs(np.diag(root)))))
-        evidence = -0.5 * float(observed @ observed - seen @ seen) - half_logarithm
+        evidence = -0.5 * float(observed @ observed - explained @ explained) - half_logarithm
         changed = modes @ inverse
-        return _Fit(evidence, changed @ seen, changed @ changed.T)
+        return _Fit(evidence, changed @ explained, changed @ changed.T)
 
 
 def _linearised(at: CalibrationAsFitted, moved: Floats, observations: Sequence[Observation]) -> _Residuals:

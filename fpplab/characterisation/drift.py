@@ -72,13 +72,13 @@ def _steps_by_chance(
     vector, limit = problem.pack(near), np.inf
     normal, gradient = problem.normal_equations(vector, limit)
     inverse = inverse_of(problem, normal)
-    seen = slice(problem.length - near.steps.size, problem.length - 2)  # nothing shows the last
-    steps = (vector - inverse @ gradient)[seen]
+    known = slice(problem.length - near.steps.size, problem.length - 2)  # nothing shows the last
+    steps = (vector - inverse @ gradient)[known]
     effects = pose_effects(problem, vector, inverse, limit)
     shared = (
-        effects.passed[seen] * np.array([sizes.camera_shared_px, sizes.projector_shared_px])[effects.device]
+        effects.passed[known] * np.array([sizes.camera_shared_px, sizes.projector_shared_px])[effects.device]
     )
-    information = np.linalg.inv(inverse[seen, seen] + shared @ shared.T)
+    information = np.linalg.inv(inverse[known, known] + shared @ shared.T)
     return max(_chance_without(pose, steps, information) for pose in range(len(near.ages))), float(
         np.sqrt(np.mean(steps**2))
     )

@@ -271,8 +271,8 @@ def _scales_of_effects(poses: int | None) -> tuple[Floats, Floats]:
     if poses is None:
         return np.ones(1), np.ones(1)
     freedom = poses - 1
-    least, most = chi2.ppf([1e-9, 1.0 - 1e-9], freedom)  # chances far below any limit
-    values = np.geomspace(least, most, 200)
+    lowest, highest = chi2.ppf([1e-9, 1.0 - 1e-9], freedom)  # chances far below any limit
+    values = np.geomspace(lowest, highest, 200)
     chances = chi2.pdf(values, freedom) * values
     return freedom / values, chances / chances.sum()
 

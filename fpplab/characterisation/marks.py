@@ -74,30 +74,30 @@ def observe_marks(name: str, image: NDArray[Any], decoded: Decoded, target: Targ
     maps[..., ~coded] = 0.0
     half_mm = target.layout.point_model().half_mm  # beyond it may be another surface
     coordinates = coordinates_at_points(maps, decoded.modulation, target, detection, half_mm)
-    seen = np.isfinite(coordinates).all(axis=1)
+    measured = np.isfinite(coordinates).all(axis=1)
     coordinates[:, ~coded] = np.nan
-    return Observation(name, detection.ids[seen], detection.pixels[seen], coordinates[seen])
+    return Observation(name, detection.ids[measured], detection.pixels[measured], coordinates[measured])
 
 
 def locate_marks(name: str, image: NDArray[Any], decoded: Decoded, target: Target) -> LocatedMarks:
     """Record how camera and projector see reference marks, to be kept with the calibration."""
-    seen = observe_marks(name, image, decoded, target)
-    if seen is None or len(seen.ids) < TARGET_LIMITS.min_points:
-        count = 0 if seen is None else len(seen.ids)
+    observed = observe_marks(name, image, decoded, target)
+    if observed is None or len(observed.ids) < TARGET_LIMITS.min_points:
+        count = 0 if observed is None else len(observed.ids)
         raise CalibrationError(
             f"{name}: {count} points of reference marks found (at least {TARGET_LIMITS.min_points}); show "
             "them to camera and projector, and large enough: 4 px or more for a module of a marker"
         )
-    if not np.isfinite(seen.projector_px).all():
+    if not np.isfinite(observed.projector_px).all():
         raise CalibrationError(f"{name}: locating reference marks needs fringes along x and y")
-    return LocatedMarks(config.plain(target), seen.ids, seen.camera_px, seen.projector_px)
+    return LocatedMarks(config.plain(target), observed.ids, observed.camera_px, observed.projector_px)
 
 
-def compare_marks(calibration: Calibration, marks: LocatedMarks, seen: Observation) -> MarksComparison:
+def compare_marks(calibration: Calibration, marks: LocatedMarks, observed: Observation) -> MarksComparison:
     """Compare reference marks with how they looked when the rig was characterised."""
     fitted = CalibrationAsFitted.of(calibration, "the calibration")
     known = _as_board(fitted, calibration, marks)
-    now = _agreeing(known, _without_misfit(known, calibration, marks, seen))
+    now = _agreeing(known, _without_misfit(known, calibration, marks, observed))
     change = estimate_change(calibration, known, [now])
     known = replace(known, errors=_errors_of_marks(known.with_parameters(change.parameters), now))
     change = estimate_change(calibration, known, [now])
@@ -149,19 +149,21 @@ def _as_board(
 
 
 def _without_misfit(
-    known: CalibrationAsFitted, calibration: Calibration, marks: LocatedMarks, seen: Observation
+    known: CalibrationAsFitted, calibration: Calibration, marks: LocatedMarks, observed: Observation
 ) -> Observation:
     """Take off how far the points were seen from where they were triangulated, which recurs."""
-    common, then, now = np.intersect1d(marks.ids, seen.ids, return_indices=True)
+    common, then, now = np.intersect1d(marks.ids, observed.ids, return_indices=True)
     if len(common) < TARGET_LIMITS.min_points:
         raise CalibrationError(
-            f"{seen.name}: {len(common)} points of the reference marks are in view "
+            f"{observed.name}: {len(common)} points of the reference marks are in view "
             f"(at least {TARGET_LIMITS.min_points})"
         )
     points, pose = known.devices.board[common], calibration.T_projector_camera
     camera = marks.camera_px[then] - calibration.camera.project(points)
     projector = marks.projector_px[then] - calibration.projector.project(points, pose)
-    return Observation(seen.name, common, seen.camera_px[now] - camera, seen.projector_px[now] - projector)
+    return Observation(
+        observed.name, common, observed.camera_px[now] - camera, observed.projector_px[now] - projector
+    )
 
 
 def _agreeing(known: CalibrationAsFitted, now: Observation) -> Observation:

@@ -128,10 +128,10 @@ def beyond_chance(covariance: Floats, repeated: Floats, freedom: int, expected: 
     values, directions = np.linalg.eigh(whitening @ repeated @ whitening.T)
     aspect = len(values) / freedom
     clear = values > (1.0 + np.sqrt(aspect)) ** 2
-    seen, along = values[clear], scaled @ directions[:, clear]
+    sampled, along = values[clear], scaled @ directions[:, clear]
     along = modes @ (along / np.linalg.norm(along, axis=0))
-    centred = seen + 1.0 - aspect
-    true = 0.5 * (centred + np.sqrt(centred**2 - 4.0 * seen)) - 1.0
+    centred = sampled + 1.0 - aspect
+    true = 0.5 * (centred + np.sqrt(centred**2 - 4.0 * sampled)) - 1.0
     cosine = (1.0 - aspect / true**2) / (1.0 + aspect / true)
     return np.asarray((along * true * cosine) @ along.T)
 

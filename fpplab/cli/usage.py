@@ -163,7 +163,7 @@ def _wrong_value(param: Any, message: str, words: Sequence[str]) -> str:
     option = max(param.opts, key=len)
     option = option if option.startswith("-") else _metavar(param)
     count = max(param.nargs, 1)
-    values = next((found for name in param.opts if (found := _values(words, name, count))), [])
+    values = next((given for name in param.opts if (given := _values(words, name, count))), [])
     if (count > 1 and len(values) < count) or (values and _PAIR.fullmatch(values[0]) and count > 1):
         return _too_few_values(param, values)
     if choices := _CHOICES.search(message):

@@ -180,12 +180,12 @@ class Pinhole:
         local = np.asarray(points, np.float64)
         if T_device_world is not None:
             local = T_device_world.apply(local)
-        seen = np.asarray(local[..., 2] > 0.0)
+        visible = np.asarray(local[..., 2] > 0.0)
         # Far outside the image the distortion may fold back into it, so the rays are bounded first.
-        seen[seen] = np.hypot(local[seen, 0], local[seen, 1]) < self.reach * local[seen, 2]
-        pixels, edge = self.project(local[seen]), margin_px - 0.5
-        seen[seen] = ((pixels >= edge) & (pixels <= np.array(self.size) - 1 - edge)).all(axis=-1)
-        return seen
+        visible[visible] = np.hypot(local[visible, 0], local[visible, 1]) < self.reach * local[visible, 2]
+        pixels, edge = self.project(local[visible]), margin_px - 0.5
+        visible[visible] = ((pixels >= edge) & (pixels <= np.array(self.size) - 1 - edge)).all(axis=-1)
+        return visible
 
     def normalise(self, pixels: Floats) -> Floats:
         """Undistort pixels to ray slopes; inverse of `project`. By Newton's method to `PIXEL_TOLERANCE`."""

@@ -140,13 +140,13 @@ def intervals_of(
         The period with which unwrapping begins.
     """
     # Unwrapping begins with the shortest period that holds most intervals: beats are less certain.
-    width, told = coded.upper - coded.lower, coded.gap >= CODES.hull_chi2
-    usual = float(np.quantile(width[told], CODES.usual_width_share)) if told.any() else 0.0
+    width, unambiguous = coded.upper - coded.lower, coded.gap >= CODES.hull_chi2
+    usual = float(np.quantile(width[unambiguous], CODES.usual_width_share)) if unambiguous.any() else 0.0
     fitting = [period for period in periods if period * (1.0 + 1e-3) >= usual]
     widest_px = (fitting or periods[-1:])[0] * (1.0 - 1e-4)  # less by more than rounding
     # A cell as wide as a period leaves no room for a margin.
     spare = 0.5 * (widest_px - width)
-    clear: Mask = (spare > -5e-2) & told
+    clear: Mask = (spare > -5e-2) & unambiguous
     margin = np.minimum(spare, CODES.margin_share * widest_px)
     lower = np.maximum(coded.lower - margin, -0.5)
     upper = np.minimum(coded.upper + margin, length - 0.5)
@@ -178,15 +178,15 @@ def decode_coded_axis(
     chance = np.exp(-0.5 * np.nan_to_num(coded.gap))
     variance = np.float32(coded.noise.constant) + np.float32(coded.noise.per_level) * coded.offset
     left = np.sqrt(coded.misfit * variance) / coded.modulation
-    seen = (coded.modulation >= rules.modulation_min) & (left <= rules.residual_max)
-    seen &= coded.modulation >= rules.contrast_min * coded.offset
-    seen &= ~_saturated(recording, sets)
-    uncertain = seen & (chance > rules.wrong_order_max)
-    seen &= ~uncertain
+    usable = (coded.modulation >= rules.modulation_min) & (left <= rules.residual_max)
+    usable &= coded.modulation >= rules.contrast_min * coded.offset
+    usable &= ~_saturated(recording, sets)
+    uncertain = usable & (chance > rules.wrong_order_max)
+    usable &= ~uncertain
     light = recording.light(coded.modulation)
     nan = np.float32(np.nan)
     coordinate, modulation, sigma, misfit = (
-        np.where(seen, values, nan)
+        np.where(usable, values, nan)
         for values in (coded.coordinate, light, coded.sigma, np.sqrt(coded.misfit))
     )
     empty = np.broadcast_to(nan, coordinate.shape)

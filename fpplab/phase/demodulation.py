@@ -120,10 +120,10 @@ def axis_phases(recording: Recording, sequence: WavelengthSequence, errors: Erro
         repeated = errors.noise.repeated(level)
         variance = errors.noise.variance(level)
         per_freedom, surprising, explained = misfit_limits(errors.sets[k])
-        seen = per_freedom * np.square(demodulated.misfit.astype(np.float64) * recording.grey)
+        observed = per_freedom * np.square(demodulated.misfit.astype(np.float64) * recording.grey)
         rounding = ORDERS.rest_rounding * (level**2 + modulation**2)
-        is_surprising = seen > surprising * (variance + explained * modulation**2) + rounding
-        excess = np.where(is_surprising, seen - variance, 0.0)
+        is_surprising = observed > surprising * (variance + explained * modulation**2) + rounding
+        excess = np.where(is_surprising, observed - variance, 0.0)
         own = per_level * (variance - repeated) / TWO_PI**2 + ORDERS.rounding_turns**2
         common = per_level * (repeated + excess) + errors.sets[k].variance(level / modulation)
         noises.append(own / fringe.stripes**2)

@@ -72,8 +72,8 @@ def can_show_drift(plan: Plan) -> bool:
 
 def _fine_sets(plan: Plan, axis: Axis) -> list[int]:
     """Sets of fringes about as fine as the finest: what a response leaves of wide ones hides drift."""
-    least = DRIFT.min_stripes_share * plan.fringes[plan.finest_set(axis)].stripes
-    return [k for k in plan.sets_along(axis) if plan.fringes[k].stripes >= least]
+    min_stripes = DRIFT.min_stripes_share * plan.fringes[plan.finest_set(axis)].stripes
+    return [k for k in plan.sets_along(axis) if plan.fringes[k].stripes >= min_stripes]
 
 
 def phase_ramp(drift: PointingDrift, fringe: FringeSet, size: int) -> Floats:
@@ -106,18 +106,18 @@ def _modes_of_repeats(samples: Sequence[Image], recording: Recording, axis: Axis
         fringe = plan.fringes[first]
         if fringe != plan.fringes[again]:
             continue
-        one, other = (recording.grey * samples[k].astype(np.float64) for k in sorted((first, again)))
-        fitted = fit_sinusoids(0.5 * (one + other), fringe)
+        before, after = (recording.grey * samples[k].astype(np.float64) for k in sorted((first, again)))
+        fitted = fit_sinusoids(0.5 * (before + after), fringe)
         bright = np.flatnonzero(np.hypot(fitted[1], fitted[2]) >= max(plan.masks.modulation_min, 1.0))
         if len(bright) < DRIFT.min_pixels:
             continue
         levels, by_phase = fringe_levels(fitted[:, bright], fringe.phase_shifts())
-        change = (other - one)[:, bright]
-        found = [
+        change = (after - before)[:, bright]
+        fits = [
             _displaced(c, np.stack([slope, level, np.ones_like(level)]))
             for c, slope, level in zip(change, by_phase, levels, strict=True)
         ]
-        rad, variances = np.array(found).T
+        rad, variances = np.array(fits).T
         to_px = axis_length(recording.projector_size, axis) / fringe.stripes / TWO_PI
         apart = abs(_middle(plan, again) - _middle(plan, first))
         modes.append(_Modes(to_px * rad, to_px**2 * variances, np.full(len(rad), apart)))
@@ -170,8 +170,8 @@ def _modes_of_set(sample: Floats, fringe: FringeSet, modulation_min: float, peri
     through = normal[own, others] @ np.linalg.pinv(normal[others, others], rcond=1e-9, hermitian=True)
     information = normal[own, own] - through @ normal[others, own]
     strength, directions = np.linalg.eigh(information)
-    seen = strength > 1e-6 * strength[-1]
-    modes, strength = directions[:, seen].T, strength[seen]
+    observable = strength > 1e-6 * strength[-1]
+    modes, strength = directions[:, observable].T, strength[observable]
     rad_to_px = period_px / TWO_PI
     displaced = rad_to_px * modes @ (right[own] - through @ right[others]) / strength
     return [_Modes(displaced, rad_to_px**2 * variance / strength, modes @ np.arange(count))]

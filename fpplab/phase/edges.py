@@ -119,11 +119,11 @@ def _normal_equations(
         tile = np.s_[place[0] : place[0] + EDGES.tile_px, place[1] : place[1] + EDGES.tile_px]
         values = np.empty((len(coordinates), 3, EDGES.tile_px, EDGES.tile_px), _f)
         _fill_terms(coordinates[0], coordinates[-1], light, tail, *place, values)
-        found = (_fit_tile(each, np.nan_to_num(modulation[tile])) for each in values)
-        return [fit for fit in found if fit is not None]
+        fits_of_tile = (_fit_tile(each, np.nan_to_num(modulation[tile])) for each in values)
+        return [fit for fit in fits_of_tile if fit is not None]
 
     with ThreadPoolExecutor() as pool:
-        fitted = [fit for found in pool.map(fits, places) for fit in found]
+        fitted = [fit for fits_of_tile in pool.map(fits, places) for fit in fits_of_tile]
     normal, right = zip(*fitted, strict=True) if fitted else ((), ())
     return np.array(normal), np.array(right)
 

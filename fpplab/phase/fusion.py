@@ -71,9 +71,9 @@ def weigh(
     for j in range(pixel_count):
         i = _u(j)
         power, level = modulation[i] * modulation[i], offset[i]
-        variance, seen = constant + per_level * level, per_freedom * rest[i]
+        variance, observed = constant + per_level * level, per_freedom * rest[i]
         expected = surprising * (variance + explained * power) + _REST_ROUNDING * (level * level + power)
-        excess = seen - variance if seen > expected else _ZERO
+        excess = observed - variance if observed > expected else _ZERO
         own = noise * loss[i] * (variance - repeated[i]) + _ROUNDING * power + _TINY
         common = noise * (loss[i] * (repeated[i] + rising * level * level + excess) + bent[i] * power)
         per_total = _ONE / (own + max(_ZERO, common))

@@ -163,8 +163,8 @@ class _PhasesInTiles:
             if far is not None:  # what a filter bends besides noise is in the residuals, not in the phases
                 nearest = float(np.square(rest[kept]).mean())
                 scatter = min(misfit, max(nearest, far) / self._variance_of_noise())
-        found = replace(errors, ripple_rad=float(np.sqrt(beyond)), blur_px2=float(strengths[0]))
-        return replace(found, scatter=scatter, misfit_scatter=misfit)
+        with_ripple = replace(errors, ripple_rad=float(np.sqrt(beyond)), blur_px2=float(strengths[0]))
+        return replace(with_ripple, scatter=scatter, misfit_scatter=misfit)
 
     def _residuals(self, fit: HarmonicsFit) -> Floats:
         """What sinusoids, gains and harmonics leave, each as noisy as a level."""

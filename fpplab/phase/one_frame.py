@@ -77,22 +77,21 @@ def decode_single_frame(recording: Recording, bounds: DecodingBounds, progress: 
     fit = _fitted(level, usable, fringe, window_px)
     modulation, phase = fit.modulation, (fringe + fit.phase + float(shown.phase_shifts()[0])) % TWO_PI
     progress(0.9)
-    seen = _is_whole(usable, window_px) & (np.sqrt(fit.rest) <= rules.residual_max * modulation)
-    seen &= (modulation >= rules.modulation_min) & (modulation >= rules.contrast_min * fit.offset)
-    expected = _noise_by_level(fit, seen, level_step(recording.frames[0]) * grey)
-    seen &= fit.rest <= ONE_FRAME.max_rest_ratio * expected
+    valid = _is_whole(usable, window_px) & (np.sqrt(fit.rest) <= rules.residual_max * modulation)
+    valid &= (modulation >= rules.modulation_min) & (modulation >= rules.contrast_min * fit.offset)
+    expected = _noise_by_level(fit, valid, level_step(recording.frames[0]) * grey)
+    valid &= fit.rest <= ONE_FRAME.max_rest_ratio * expected
     noise = np.sqrt(2.0 * np.maximum(fit.rest, QUANTISATION * grey**2)) / np.maximum(modulation, 1e-30)
     sigma_rad = noise * math.sqrt(_BANDWIDTH / (4.0 * np.pi)) / window_px
     period_px = axis_length(recording.projector_size, shown.axis) / shown.stripes
     possible = bounds.get(shown.axis)
     possible = possible if isinstance(possible, PossibleCoordinates) else None
-    islands = placed(
-        find_islands(phase, sigma_rad, seen, window_px), recording, shown.axis, period_px, sigma_rad, possible
-    )
-    seen &= islands.island != 0
+    unplaced = find_islands(phase, sigma_rad, valid, window_px)
+    islands = placed(unplaced, recording, shown.axis, period_px, sigma_rad, possible)
+    valid &= islands.island != 0
     maps = islands.coordinate, modulation, sigma_rad * period_px / TWO_PI, np.sqrt(fit.rest / expected)
     return _decoded(
-        [np.where(seen, m, np.nan).astype(np.float32) for m in maps], shown.axis, islands, window_px
+        [np.where(valid, m, np.nan).astype(np.float32) for m in maps], shown.axis, islands, window_px
     )
 
 
@@ -111,13 +110,13 @@ def _decoded(maps: Sequence[Map], axis: Axis, islands: UnwrappedIslands, window_
     )
 
 
-def _noise_by_level(fit: _Fit, seen: Mask, step: float) -> Floats:
+def _noise_by_level(fit: _Fit, valid: Mask, step: float) -> Floats:
     """Variance of the grey levels where a window holds one surface, by their level."""
     floor = QUANTISATION * step**2
-    if np.count_nonzero(seen) < NOISE.min_pixels:
-        return np.full(seen.shape, floor)
-    thin = max(1, np.count_nonzero(seen) // NOISE.sample_pixels)
-    level, rest = (values[seen][::thin] for values in (fit.offset, fit.rest))
+    if np.count_nonzero(valid) < NOISE.min_pixels:
+        return np.full(valid.shape, floor)
+    thin = max(1, np.count_nonzero(valid) // NOISE.sample_pixels)
+    level, rest = (values[valid][::thin] for values in (fit.offset, fit.rest))
     return fit_line(level, rest, ONE_FRAME.rest_freedom, step).variance(np.maximum(fit.offset, 0.0))
 
 

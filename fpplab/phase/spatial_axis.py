@@ -46,8 +46,8 @@ def unwrap_by_neighbours(
 def usable_pixels(recording: Recording, measured: Wrapped, errors: ErrorModel) -> Mask:
     """Tell which pixels see fringes and are not saturated; decoding has further rules."""
     rules, grey = recording.plan.masks, recording.grey
-    seen = (measured.modulation * grey >= rules.modulation_min) & (measured.peak < errors.saturation)
-    return np.asarray(seen & (measured.modulation >= rules.contrast_min * measured.offset))
+    valid = (measured.modulation * grey >= rules.modulation_min) & (measured.peak < errors.saturation)
+    return np.asarray(valid & (measured.modulation >= rules.contrast_min * measured.offset))
 
 
 def phase_sigma(recording: Recording, index: int, measured: Wrapped, errors: ErrorModel) -> Floats:
@@ -75,15 +75,15 @@ def placed(
     lower, upper = (-0.5, length - 0.5) if possible is None else (possible.lower, possible.upper)
     margin = ISLANDS.beyond_sigmas * sigma_rad * period_px / TWO_PI
     # The least and the greatest number of periods that may be added at each pixel.
-    least = np.ceil((lower - margin - coordinate) / period_px)
-    most = np.maximum(np.floor((upper + margin - coordinate) / period_px), least - 1)
+    lowest = np.ceil((lower - margin - coordinate) / period_px)
+    highest = np.maximum(np.floor((upper + margin - coordinate) / period_px), lowest - 1)
     numbers, known = np.zeros(islands.count + 1, np.int64), np.zeros(islands.count + 1, np.bool_)
     at = np.flatnonzero(islands.label)
     order = at[np.argsort(islands.label.ravel()[at], kind="stable")]
     ends = np.cumsum(np.bincount(islands.label.ravel()[at], minlength=islands.count + 1))
     for k in range(1, islands.count + 1):
         own = order[ends[k - 1] : ends[k]]
-        numbers[k], known[k] = _order_of(least.ravel()[own], most.ravel()[own])
+        numbers[k], known[k] = _order_of(lowest.ravel()[own], highest.ravel()[own])
     for k, order_at in _orders_of_known_points(recording.known, islands, coordinate, period_px).items():
         known[k] = len(order_at) == 1
         numbers[k] = next(iter(order_at)) if known[k] else numbers[k]
@@ -92,12 +92,14 @@ def placed(
     return UnwrappedIslands(signed.astype(np.int32), coordinate.astype(np.float32))
 
 
-def _order_of(least: Floats, most: Floats) -> tuple[int, bool]:
+def _order_of(lower: Floats, upper: Floats) -> tuple[int, bool]:
     """Give the order at which most pixels are possible, and whether it is the only one."""
-    first = int(min(least.min(), most.min()))
-    orders = np.arange(first, int(max(least.max(), most.max())) + 1)
-    inside = np.searchsorted(np.sort(least), orders, "right") - np.searchsorted(np.sort(most), orders, "left")
-    share = inside / len(least)
+    first = int(min(lower.min(), upper.min()))
+    orders = np.arange(first, int(max(lower.max(), upper.max())) + 1)
+    inside = np.searchsorted(np.sort(lower), orders, "right") - np.searchsorted(
+        np.sort(upper), orders, "left"
+    )
+    share = inside / len(lower)
     best = np.flatnonzero(share == share.max())
     middle = int(best[len(best) // 2])
     others = np.delete(share, middle)

@@ -39,14 +39,14 @@ def geometry_check(
         certain_um = 0.0 if sigma_mm is None else 1e3 * float(np.median(sampled(sigma_mm)))
         costs = [(change.meaning, change.displacement_um) for change in changes[:SHOWN_CHANGES]]
         hidden = tuple((what, um) for what, um in costs if um > certain_um)
-    seen = marks is not None and marks.verified
+    by_marks = marks is not None and marks.verified
     return GeometryCheck(
         doubt,
         hidden,
         foreign_calibration(calibration, session),
-        seen or check_region(calibration, session),
+        by_marks or check_region(calibration, session),
         marks.change if marks else None,
-        seen,
+        by_marks,
     )
 
 

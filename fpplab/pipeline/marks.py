@@ -54,11 +54,11 @@ def compare_marks_in(
         return GeometryDoubt(str(error), f"uncover the marks, or {CONFIRM}")
 
 
-def widened_by_marks(calibration: Calibration, seen: SeenMarks) -> Calibration:
+def widened_by_marks(calibration: Calibration, comparison: SeenMarks) -> Calibration:
     """Add the change of the rig that marks make likely, and what they leave open, to the uncertainty."""
-    if calibration.uncertainty is None or not isinstance(seen, MarksComparison):
+    if calibration.uncertainty is None or not isinstance(comparison, MarksComparison):
         return calibration
-    changed = seen.covariance + np.outer(seen.change, seen.change)
+    changed = comparison.covariance + np.outer(comparison.change, comparison.change)
     return replace(calibration, uncertainty=calibration.uncertainty.widened(changed))
 
 

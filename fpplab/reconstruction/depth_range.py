@@ -38,8 +38,8 @@ def coordinates_of_points(
                 f"--known: {column},{row},{depth_mm:g} is no pixel of {width} x {height} and a distance in mm"
             )
         ray = np.array([*slopes[:, row, column], 1.0])
-        seen = calibration.projector.project(calibration.T_projector_camera.apply(depth_mm * ray))
-        points.append(KnownCoordinate((column, row), float(seen[AXES.index(axis)])))
+        projected = calibration.projector.project(calibration.T_projector_camera.apply(depth_mm * ray))
+        points.append(KnownCoordinate((column, row), float(projected[AXES.index(axis)])))
     return tuple(points)
 
 

@@ -186,12 +186,12 @@ class _Text:
         self._layer = Pixels.new("L", (canvas.shape[1], canvas.shape[0]), 0)
         self._draw = ImageDraw.Draw(self._layer)
 
-    def write(self, place: tuple[int, int], words: str, anchor: str, height: int = LARGE) -> None:
-        self._draw.text(place, words, fill=255, font=_font(height), anchor=anchor)
+    def write(self, place: tuple[int, int], text: str, anchor: str, height: int = LARGE) -> None:
+        self._draw.text(place, text, fill=255, font=_font(height), anchor=anchor)
 
-    def write_upwards(self, place: tuple[int, int], words: str) -> None:
-        strip = Pixels.new("L", (int(_font(LARGE).getlength(words)) + 2, LINE), 0)
-        ImageDraw.Draw(strip).text((0, LINE // 2), words, fill=255, font=_font(LARGE), anchor="lm")
+    def write_upwards(self, place: tuple[int, int], text: str) -> None:
+        strip = Pixels.new("L", (int(_font(LARGE).getlength(text)) + 2, LINE), 0)
+        ImageDraw.Draw(strip).text((0, LINE // 2), text, fill=255, font=_font(LARGE), anchor="lm")
         turned = strip.rotate(90, expand=True)
         self._layer.paste(turned, (place[0], max(0, place[1] - turned.height // 2)))
 

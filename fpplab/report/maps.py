@@ -16,7 +16,7 @@ def camera_image(image: Image, bits: int = 8) -> bytes:
     full = full_scale(bits)
     saturated = image >= full
     share = float(saturated.mean())
-    told = f"{saturated.sum():,} saturated pixels ({100 * share:.2g} %)" if share else "no saturated pixels"
+    title = f"{saturated.sum():,} saturated pixels ({100 * share:.2g} %)" if share else "no saturated pixels"
     step = max(1, -(-image.shape[1] // MAP_PX))
     size = tuple(-(-length // step) for length in reversed(image.shape))
     shown = cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -25,7 +25,7 @@ def camera_image(image: Image, bits: int = 8) -> bytes:
     label = f"grey level (full scale {full})"
     edges = (-0.5, image.shape[1] - 0.5, image.shape[0] - 0.5, -0.5)
     return draw_maps(
-        MapSheet(shown, "gray", (0.0, bright), label, edges, title=(told,), marked=marks[::step, ::step])
+        MapSheet(shown, "gray", (0.0, bright), label, edges, title=(title,), marked=marks[::step, ::step])
     )
 
 

@@ -75,8 +75,8 @@ class ScanQueue:
     def latest(self, count: int) -> list[ScanStatus]:
         """List the latest scans, the last one first, without their results."""
         numbers = range(self._last, max(0, self._last - count), -1)
-        found = (status for n in numbers if (status := self.get(n)) is not None)
-        return [status.model_copy(update={"result": None}) for status in found]
+        statuses = (status for n in numbers if (status := self.get(n)) is not None)
+        return [status.model_copy(update={"result": None}) for status in statuses]
 
     def cancel(self, number: int) -> None:
         with self._lock:

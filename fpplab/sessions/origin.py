@@ -158,7 +158,9 @@ def _settings_by_hand(poses: Sequence[Session]) -> dict[str, Any]:
     """Give what all poses' rig files state alike of the rig's settings and temperature."""
     stated = [(pose.rig() or {}).get("geometry") or {} for pose in poses]
     names = ("settings", "temperature_c")
-    return {n: stated[0].get(n) for n in names if all(one.get(n) == stated[0].get(n) for one in stated)}
+    return {
+        n: stated[0].get(n) for n in names if all(settings.get(n) == stated[0].get(n) for settings in stated)
+    }
 
 
 def with_confirmation(calibration: Calibration, poses: Sequence[Session]) -> Calibration:

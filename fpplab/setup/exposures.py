@@ -78,16 +78,16 @@ class SceneLight:
             for frame in merged
         )
         noise = np.sqrt(model.noise.variance(np.maximum(scale * np.minimum(white, 1e12), 0.0))) / scale
-        seen = ~(white - black < SEARCH.min_sigmas * noise)
-        if seen.sum() < NOISE.min_pixels:
+        lit = ~(white - black < SEARCH.min_sigmas * noise)
+        if lit.sum() < NOISE.min_pixels:
             raise DataError("no part of the scene sees the projector, even at the longest exposure in time")
-        clear = seen & np.isfinite(white + first + second)
+        clear = lit & np.isfinite(white + first + second)
         half = 0.5 * (white - black)
         ratio = np.square((first - second)[clear] / half[clear]) - 2.0 * np.square(noise[clear] / half[clear])
         contrast = math.sqrt(max(float(ratio.mean()), 0.0) / 2.0) / abs(math.sin(0.5 * turn_rad))
-        picked = np.flatnonzero(seen)[:: max(1, int(seen.sum()) // SEARCH.pixels)]
+        picked = np.flatnonzero(lit)[:: max(1, int(lit.sum()) // SEARCH.pixels)]
         offset = 0.5 * (white + black).ravel()[picked]
-        return cls(offset, half.ravel()[picked], min(contrast, 1.0), model, bits, int(seen.sum()))
+        return cls(offset, half.ravel()[picked], min(contrast, 1.0), model, bits, int(lit.sum()))
 
     def expected(
         self, plan: Plan, size: tuple[int, int], exposures_s: Sequence[float]
@@ -104,8 +104,8 @@ class SceneLight:
         for k in fringes.sets_along(axis):
             fringe = fringes.fringes[k]
             contrast = self.contrast ** ((fringe.stripes / finest) ** 2)
-            seen, variance = self._phase_variance(plan.masks, fringe.images, contrast, exposures_s)
-            measured &= seen
+            usable, variance = self._phase_variance(plan.masks, fringe.images, contrast, exposures_s)
+            measured &= usable
             information += np.square(TWO_PI * fringe.stripes / length / fringe.phase_noise) / variance
         return measured, 1.0 / np.sqrt(np.maximum(information, 1e-30))
 
@@ -122,10 +122,10 @@ class SceneLight:
         slopes = np.where(used, sine**2, 0.0)
         spread = (slopes * variance).sum(axis=1) / np.maximum(slopes.sum(axis=1), 1e-30)
         loss = _loss(used, cosine, sine)
-        seen = used.sum(axis=1) >= NOISE.min_samples
-        seen &= (loss <= NOISE.max_saturation_loss) & self._is_bright(masks, fringe, spread)
-        square = np.square(np.where(seen, fringe, 1.0))
-        return seen, np.where(seen, spread * np.where(seen, loss, 1.0) / square, np.inf)
+        usable = used.sum(axis=1) >= NOISE.min_samples
+        usable &= (loss <= NOISE.max_saturation_loss) & self._is_bright(masks, fringe, spread)
+        square = np.square(np.where(usable, fringe, 1.0))
+        return usable, np.where(usable, spread * np.where(usable, loss, 1.0) / square, np.inf)
 
     def _code_noise(
         self,
@@ -143,8 +143,8 @@ class SceneLight:
         light = np.where(np.isfinite(self.offset), self.offset, np.inf)[:, None] + swing
         used, variance = self._merged(light, exposures_s)
         spread = variance.mean(axis=1)
-        seen = used.all(axis=1) & self._is_bright(masks, half, spread)
-        return seen, np.where(seen, np.sqrt(spread) / np.where(seen, half, 1.0), np.inf)
+        usable = used.all(axis=1) & self._is_bright(masks, half, spread)
+        return usable, np.where(usable, np.sqrt(spread) / np.where(usable, half, 1.0), np.inf)
 
     def _merged(self, light: Floats, exposures_s: Sequence[float]) -> tuple[Mask, Floats]:
         """Which samples any exposure has unsaturated, and the variance of all that have it together."""
@@ -249,9 +249,9 @@ def longest_exposure(plan: Plan, limits: ExposureLimits, seconds: float, other_s
     """Give the longest exposure that takes all images in the time."""
     longest = min(limits.exposure_s[1], seconds / plan.images - other_s)
     if longest < max(limits.exposure_s[0], limits.period_s):
-        least = plan.images * (max(limits.exposure_s[0], limits.period_s) + other_s)
+        shortest_s = plan.images * (max(limits.exposure_s[0], limits.period_s) + other_s)
         raise ConfigError(
-            f"--seconds is {seconds:g}: the plan's {plan.images} images need at least {least:.3g}"
+            f"--seconds is {seconds:g}: the plan's {plan.images} images need at least {shortest_s:.3g}"
         )
     return limits.on_grid(longest)
 
@@ -286,10 +286,10 @@ def measure_light(rig: Rig, plan: Plan, seconds: float) -> tuple[SceneLight, Exp
         frames += [shot.image for shot in taken]
         exposures_s.append(taken[0].settings.exposure_s)
         saturated = float((taken[0].image >= 2**settings.bits - 1).mean())
-        least = max(limits.exposure_s[0], limits.period_s)
-        if (saturated <= SEARCH.max_saturated and len(exposures_s) > 1) or exposure_s <= least:
+        shortest_s = max(limits.exposure_s[0], limits.period_s)
+        if (saturated <= SEARCH.max_saturated and len(exposures_s) > 1) or exposure_s <= shortest_s:
             break
-        exposure_s = max(limits.on_grid(exposure_s / SEARCH.ladder), least)
+        exposure_s = max(limits.on_grid(exposure_s / SEARCH.ladder), shortest_s)
     shifts = finest.phase_shifts()
     light = SceneLight.of(frames, settings.bits, exposures_s, float(shifts[half] - shifts[0]))
     return light, limits, other_s

@@ -108,7 +108,7 @@ class RigSetup:
             lit = self._device(stack, draft, "projector", Projector, lambda p: look_at_light(camera, p))  # type: ignore[type-abstract]
             if lit is None:
                 raise self._no_device_error("projector")
-            self._device(stack, draft, "stage", Stage, lambda one: self._test_stage(one, home_stage))  # type: ignore[type-abstract]
+            self._device(stack, draft, "stage", Stage, lambda stage: self._test_stage(stage, home_stage))  # type: ignore[type-abstract]
         if operator_as_fixture:
             draft.sections["fixture"] = dict(OPERATOR)
         return draft

@@ -240,8 +240,8 @@ def _save_and_report(
         from fpplab.pipeline.marks import locate_session_marks
         from fpplab.sessions.session import recorded_sessions
 
-        (seen,) = recorded_sessions([request.marks])
-        located = locate_session_marks(seen, request.marks_target, fitted.calibration)
+        (session,) = recorded_sessions([request.marks])
+        located = locate_session_marks(session, request.marks_target, fitted.calibration)
         fitted = replace(fitted, calibration=located)
     if not diagnosis.is_good:
         fitted = replace(fitted, calibration=replace(fitted.calibration, doubt=diagnosis.reason))

@@ -53,8 +53,8 @@ def run_correction(request: CorrectionRequest, observer: Observer | None = None)
         observer.message(f"left out: {reason}")
     corrected = replace(correction.calibration, origin=calibration_origin(sessions))
     if request.marks is not None:
-        (seen,) = recorded_sessions([request.marks[0]])
-        corrected = locate_session_marks(seen, request.marks[1], corrected)
+        (session,) = recorded_sessions([request.marks[0]])
+        corrected = locate_session_marks(session, request.marks[1], corrected)
     elif calibration.marks is not None and corrected.marks is None:
         observer.message(
             "the corrected calibration has no reference marks; add '--marks SCAN', which shows them with "

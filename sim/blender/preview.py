@@ -47,15 +47,15 @@ def take_picture(blender_scene: Any, preview: Preview) -> PreviewPixels:
     left, top, right, bottom = pattern.scene.window
     width, height = pattern.scene.camera.size
     irradiance = np.zeros((height, width), np.float32)
-    seen = irradiance[top:bottom, left:right]
-    if seen.size:
+    picture = irradiance[top:bottom, left:right]
+    if picture.size:
         with _for_pictures(blender_scene, pattern), tempfile.TemporaryDirectory(prefix="fpplab-") as folder:
             blender_scene.render.filepath = str(Path(folder) / "view.exr")
             for view in pattern.views:
                 aim(blender_scene.camera.data, pattern.scene.camera, view)
-                seen += _under_all_lights(blender_scene)
+                picture += _under_all_lights(blender_scene)
             aim(blender_scene.camera.data, pattern.scene.camera, _middle(pattern))
-        seen /= np.float32(len(pattern.views))
+        picture /= np.float32(len(pattern.views))
     if pattern.falloff is not None:
         irradiance *= pattern.falloff
     return preview.grey_scale.levels(irradiance)

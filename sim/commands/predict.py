@@ -69,8 +69,8 @@ def _show(answer: dict[str, Any]) -> None:
     )
     if answer["lengths"]:
         table = [
-            [one["name"], *(f"{one[key]:.4f}" for key in ("true_mm", "value", "low", "high"))]
-            for one in answer["lengths"]
+            [length["name"], *(f"{length[key]:.4f}" for key in ("true_mm", "value", "low", "high"))]
+            for length in answer["lengths"]
         ]
         console.table("Lengths in mm", ["", "true", "predicted", "at least", "at most"], table)
     if not answer["matched"]:

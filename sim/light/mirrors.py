@@ -117,7 +117,7 @@ class Mirrors:
         return light if self._factor is None else light * self._factor
 
 
-def _equal(one: PatternLevels | None, other: PatternLevels | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    return np.array_equal(one, other)
+def _equal(first: PatternLevels | None, second: PatternLevels | None) -> bool:
+    if first is None or second is None:
+        return first is second
+    return np.array_equal(first, second)

@@ -299,7 +299,9 @@ def parameter_comparison(before: TwinParameters, after: TwinParameters) -> list[
         known = next(entry for key, entry in TABLE.items() if name in (key, *entry.parts))
         if not known.reported_at_zero and not any(twin.has(known) for twin in (before, after)):
             continue
-        texts = [known.reported_none if one is None else f"{one:.4g}" for one in (value, matched[name])]
+        texts = [
+            known.reported_none if figure is None else f"{figure:.4g}" for figure in (value, matched[name])
+        ]
         rows.append((name, texts[0], texts[1], _sigma_text(after, name)))
     return rows
 

@@ -112,8 +112,8 @@ class MatchingContext:
         # the bound of one parameter does not make the others better known.
         held = self.twin.with_parameters(replace(fitted, black_level=self._max_black))
         others = [name for name in names if name != "black_level"]
-        found = light_fit.fit_light(self.reference, held, others, self.samples)
-        return replace(found, sigma=fitted.sigma)
+        refitted = light_fit.fit_light(self.reference, held, others, self.samples)
+        return replace(refitted, sigma=fitted.sigma)
 
     def criterion(self, free: int) -> float:
         """Compute Schwarz's criterion of the samples, by the number of free parameters."""

@@ -108,8 +108,8 @@ def match(request: MatchRequest, observer: MatchObserver | None = None) -> Match
             report_file=request.out / REPORT,
         )
         with follow.stage("Drawing the report"):
-            seen = matching.reference.filtered(twin)
-            write_matching_report(result.report_file, matching, seen, result.summary(), result.provenance)
+            filtered = matching.reference.filtered(twin)
+            write_matching_report(result.report_file, matching, filtered, result.summary(), result.provenance)
     return result
 
 
@@ -117,8 +117,8 @@ def _match(request: MatchRequest, twin: Twin, observer: MatchObserver) -> Matchi
     references: list[Reference] = []
 
     def observe(epoch: MatchingEpoch) -> None:
-        seen = references[0].filtered(twin)
-        observer.epoch(epoch, references[0], seen.with_parameters(epoch.parameters.parameters()))
+        filtered = references[0].filtered(twin)
+        observer.epoch(epoch, references[0], filtered.with_parameters(epoch.parameters.parameters()))
 
     try:
         with observer.work("Matching") as (progress, tell):

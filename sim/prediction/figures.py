@@ -102,11 +102,11 @@ def _seen_and_lit(shape: RayTracedShape, calibration: Calibration) -> tuple[Mask
     rays = camera_rays(calibration.camera)
     directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     depth = shape.depth(np.zeros(3), directions.reshape(-1, 3)).reshape(rays.shape[:2])
-    seen: Mask = np.isfinite(depth)
-    hits = directions[seen] * depth[seen][:, None]
-    lit = np.zeros_like(seen)
-    lit[seen] = _is_lit(shape, hits, calibration)
-    return seen, lit, hits[lit[seen]]
+    visible: Mask = np.isfinite(depth)
+    hits = directions[visible] * depth[visible][:, None]
+    lit = np.zeros_like(visible)
+    lit[visible] = _is_lit(shape, hits, calibration)
+    return visible, lit, hits[lit[visible]]
 
 
 def _is_lit(shape: RayTracedShape, points: Floats, calibration: Calibration) -> Mask:

@@ -121,10 +121,12 @@ def predicted_lengths(
         points = pose.apply(cloud.points[shape.on_it(cloud)].astype(np.float64))
         return measure_lengths(points, pose.translation, lengths, displacements)
 
-    found = [measured(cloud) for cloud in clouds]
-    draws = np.array([[np.nan if m.measured_mm is None else m.measured_mm for m in one] for one in found])
+    measurements = [measured(cloud) for cloud in clouds]
+    draws = np.array(
+        [[np.nan if m.measured_mm is None else m.measured_mm for m in of_cloud] for of_cloud in measurements]
+    )
     variances = np.array([of_one_measurement(drawn) ** 2 for drawn in draws.T]) + off_mm**2
-    variances += [(1e-3 * m.sigma_calibration_um) ** 2 for m in found[0]]
+    variances += [(1e-3 * m.sigma_calibration_um) ** 2 for m in measurements[0]]
     middle, reach = np.median(draws, axis=0), COVERAGE * np.sqrt(variances)
     return tuple(
         PredictedLength(length.name, length.true_mm, FigureInterval(at, at - off, at + off))

@@ -105,14 +105,14 @@ def predict(
     # What is not known is the geometry of the twin's bench, as its own calibration says.
     known = replace(calibration or sampler.calibration, uncertainty=_uncertainty_beside(source.parent))
     mesh = sampler.mesh(item)
-    seen, lit = seen_surface(mesh, known)
+    visible, lit = seen_surface(mesh, known)
     if not lit.any():
         raise ConfigError(f"{rig.source}: no pixel sees lit surface of the item '{item}'")
-    rows, inner = choose_sampled_rows(seen, pixels, FILTER_MARGIN if plan.filter else MARGIN)
+    rows, inner = choose_sampled_rows(visible, pixels, FILTER_MARGIN if plan.filter else MARGIN)
     study = _Sampled(rig, plan, item, known, sampler, rows)
     # Noise, flicker and vibration are drawn anew; the last two are common to a whole frame.
     measured = [study.measured(seed) for seed in range(DRAWN_SCANS)]
-    pose = aligned_pose(measured[0][1], mesh, seen)
+    pose = aligned_pose(measured[0][1], mesh, visible)
     shape = SeenShape.of(mesh.copy().apply_transform(pose.matrix), known, inner)
     target = AlignmentMesh(shape.mesh)
     draws = [(decoded, _aligned(cloud, shape, target)) for decoded, cloud in measured]
@@ -152,12 +152,12 @@ def _uncertainty_beside(folder: Path) -> Uncertainty | None:
     return Calibration.load(path).uncertainty if path.is_file() else None
 
 
-def aligned_pose(cloud: Cloud, mesh: trimesh.Trimesh, seen: Mask) -> RigidTransform:
+def aligned_pose(cloud: Cloud, mesh: trimesh.Trimesh, visible: Mask) -> RigidTransform:
     """Find the motion that places a mesh, in the camera's frame, on the points of pixels that see it."""
     # The mesh is where the points are but for errors of the calibration, and no other pose is searched.
     assert cloud.pixels is not None
     u, v = cloud.pixels.T
-    return _refined(cloud.points[seen[v, u]], AlignmentMesh(mesh)).inverse()
+    return _refined(cloud.points[visible[v, u]], AlignmentMesh(mesh)).inverse()
 
 
 def _refined(points: CloudPoints, target: AlignmentMesh) -> RigidTransform:

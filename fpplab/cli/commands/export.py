@@ -81,9 +81,9 @@ def _kind_of(source: Path) -> str:
         return "calibration"
     if suffix in (".json", ".jsonl"):
         return "tables"
-    found = kind or "of another kind by its name"
+    content = kind or "of another kind by its name"
     raise ConfigError(
-        f"{source}: is {found}; expected a cloud ({', '.join(READ_SUFFIXES)}), a session, a calibration "
+        f"{source}: is {content}; expected a cloud ({', '.join(READ_SUFFIXES)}), a session, a calibration "
         "(.yaml), or an answer or journal of fpplab (.json, .jsonl)"
     )
 

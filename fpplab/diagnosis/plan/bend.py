@@ -39,13 +39,13 @@ class Bend:
 
     def _observed(self, steps: int) -> NDArray[np.complex128]:
         """Sinusoid (720,) that N steps show of fringes at phases over a period, as complex numbers."""
-        seen = np.zeros(len(_PHASES), np.complex128)
+        phasors = np.zeros(len(_PHASES), np.complex128)
         for order, strength in enumerate(self._relative, 1):
             if order % steps == 1:
-                seen += strength * np.exp(1j * order * _PHASES)
+                phasors += strength * np.exp(1j * order * _PHASES)
             if order % steps == steps - 1:
-                seen += strength * np.exp(-1j * order * _PHASES)
-        return seen
+                phasors += strength * np.exp(-1j * order * _PHASES)
+        return phasors
 
     def mean_turn(self, steps: int) -> float:
         """Compute the mean of exp(iN times the phase) over fringes, which is 0 with a straight response."""
@@ -54,9 +54,9 @@ class Bend:
 
     def straightened(self, phases: Floats, steps: int) -> Floats:
         """Give the phases that fringes have where N steps show these."""
-        seen = np.unwrap(np.angle(self._observed(steps)))
-        errors = seen - _PHASES
-        return np.asarray(phases - np.interp(phases % TWO_PI, seen % TWO_PI, errors, period=TWO_PI))
+        observed = np.unwrap(np.angle(self._observed(steps)))
+        errors = observed - _PHASES
+        return np.asarray(phases - np.interp(phases % TWO_PI, observed % TWO_PI, errors, period=TWO_PI))
 
     def straightened_levels(self, levels: Floats) -> Floats:
         """Take the harmonics out of a set's images."""
@@ -65,8 +65,8 @@ class Bend:
         shifts = phase_steps(count).reshape(-1, *(1,) * (levels.ndim - 1))
         phasors = np.sum(np.exp(1j * shifts) * levels, axis=0) * (2.0 / count)
         phases = self.straightened(np.angle(phasors), count)
-        seen = np.abs(np.interp(phases % TWO_PI, _PHASES, np.abs(self._observed(count)), period=TWO_PI))
-        strength = np.abs(phasors) / np.maximum(seen, 0.1)
+        amplitude = np.abs(np.interp(phases % TWO_PI, _PHASES, np.abs(self._observed(count)), period=TWO_PI))
+        strength = np.abs(phasors) / np.maximum(amplitude, 0.1)
         waves = [
             share * np.cos(order * (phases - shifts)) for order, share in enumerate(self._relative[1:], 2)
         ]

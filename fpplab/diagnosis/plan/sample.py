@@ -93,8 +93,8 @@ def _phasors(
         sums.append(np.tensordot(np.exp(1j * phase_steps(count)), levels, 1) * (2.0 / count))
     if bends is not None:
         sums = [
-            np.abs(seen) * np.exp(1j * bend.straightened(np.angle(seen), count))
-            for seen, bend, count in zip(sums, bends, images, strict=True)
+            np.abs(phasor) * np.exp(1j * bend.straightened(np.angle(phasor), count))
+            for phasor, bend, count in zip(sums, bends, images, strict=True)
         ]
     return np.stack(sums)
 

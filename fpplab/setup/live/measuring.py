@@ -39,11 +39,11 @@ class MarksInView:
 def marks_in_view(image: NDArray[Any], calibration: Calibration) -> MarksInView | None:
     if (marks := calibration.marks) is None:
         return None
-    seen = config.validate(marks.target, Target, "the calibration's marks").detect(image)
-    if seen is None:
+    detection = config.validate(marks.target, Target, "the calibration's marks").detect(image)
+    if detection is None:
         return MarksInView(0, len(marks.ids), None)
-    common, then, now = np.intersect1d(marks.ids, seen.ids, return_indices=True)
-    moved = np.linalg.norm(seen.pixels[now] - marks.camera_px[then], axis=1)
+    common, then, now = np.intersect1d(marks.ids, detection.ids, return_indices=True)
+    moved = np.linalg.norm(detection.pixels[now] - marks.camera_px[then], axis=1)
     return MarksInView(len(common), len(marks.ids), float(np.median(moved)) if len(common) else None)
 
 

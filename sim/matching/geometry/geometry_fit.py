@@ -154,7 +154,7 @@ def _weighed_with_points(
     if points.calibration.uncertainty is None:
         return step, covariance
     free = len(points.level.terms)
-    known, now = (_shared(one, free) for one in (points.calibration, start.calibration))
+    known, now = (_shared(calibration, free) for calibration in (points.calibration, start.calibration))
     to_step, turn = np.eye(len(known)), slice(len(known) - 6, len(known) - 3)
     to_step[turn, turn] = left_jacobian(now[turn])  # a step turns the pose about the axes of the frame
     moves = [to_step @ (known - now)]
