@@ -38,6 +38,15 @@ class ModelTrial:
 
 
 @dataclass(frozen=True, eq=False)
+class DeviceResiduals:
+    """What one device saw of the board, by pose."""
+
+    size: tuple[int, int]  # width and height in px
+    pixels: tuple[Floats, ...]  # (K, 2) px
+    residuals: tuple[Floats, ...]  # model minus observation, (K, 2) px
+
+
+@dataclass(frozen=True, eq=False)
 class Characterisation:
     """A calibration with all that is known about its quality."""
 
@@ -62,6 +71,16 @@ class Characterisation:
     validation: Validation | None = (
         None  # calibrations from fewer poses compared with what the covariance predicts
     )
+
+    @property
+    def by_device(self) -> dict[str, DeviceResiduals]:
+        """Where `camera` and `projector` saw the board's points, and their residuals."""
+        calibration, seen = self.calibration, self.observations
+        cameras, projectors = tuple(o.camera_px for o in seen), tuple(o.projector_px for o in seen)
+        return {
+            "camera": DeviceResiduals(calibration.camera.size, cameras, self.camera_residuals),
+            "projector": DeviceResiduals(calibration.projector.size, projectors, self.projector_residuals),
+        }
 
     @property
     def points(self) -> int:

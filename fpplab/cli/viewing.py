@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 from contextlib import AbstractContextManager
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import typer
 
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from fpplab.patterns.plan import Plan
     from fpplab.phase import Decoded
     from fpplab.viewer.canvas import CommandView
-    from fpplab.viewer.measurement import MeasurementView
-    from fpplab.viewer.response import ResponseView
-    from fpplab.viewer.search import SearchView
     from fpplab.viewer.server import ViewerPlace
     from fpplab.viewer.viewer import Viewer
 
@@ -74,156 +72,129 @@ class ConsoleObserver(Observer):
         console.log_status(sentence)
 
 
-class VerdictObserver(ConsoleObserver):
-    """Says whether to believe a scan's points, before its report is drawn."""
+class ViewObserver(ConsoleObserver):
+    """Shows a workflow in the viewer, too, where there is one."""
 
-    def result(self, result: object) -> None:
-        from fpplab.results.scan import ScanResult
+    VIEW: ClassVar[str]  # its class and module, which loads what draws
 
-        if isinstance(result, ScanResult) and not result.diagnosis.is_useless:
-            console.log_status(result.diagnosis.sentence)
+    def __init__(self, viewer: Viewer[Any] | None) -> None:
+        self._viewer = viewer
+
+    @classmethod
+    def view(cls) -> Any:
+        module, _, name = cls.VIEW.rpartition(".")
+        return getattr(import_module(f"fpplab.viewer.{module}"), name)
+
+    def _show(self, method: str, *shown: object) -> None:
+        if self._viewer is not None:
+            self._viewer.show(getattr(self.view(), method), *shown)
+
+    def _show_frame(self, frame: Frame, *place: object) -> None:
+        if self._viewer is not None:
+            from fpplab.viewer.measurement import ShownFrame
+
+            self._viewer.show_one_of_many(self.view().frame, *place, ShownFrame.of(frame))
 
 
-class MeasurementObserver(VerdictObserver):
-    """Shows a measurement in the viewer, too."""
+class MeasurementObserver(ViewObserver):
+    """Shows a measurement; says whether to believe a scan's points, before its report is drawn."""
 
-    def __init__(self, viewer: Viewer[Any], view: type[MeasurementView]) -> None:
-        self._viewer, self._view = viewer, view
-        self._has_maps = False
+    VIEW = "measurement.MeasurementView"
+    _has_maps = False
 
     def plan(self, plan: Plan, size: tuple[int, int], lattice: Lattice) -> None:
-        self._viewer.show(self._view.plan, plan, size, lattice)
+        self._show("plan", plan, size, lattice)
 
     def calibration(self, calibration: Calibration) -> None:
-        self._viewer.show(self._view.calibration, calibration)
+        self._show("calibration", calibration)
 
     def frame(self, frame: Frame) -> None:
-        from fpplab.viewer.measurement import ShownFrame
-
-        self._viewer.show_one_of_many(self._view.frame, ShownFrame.of(frame))
+        self._show_frame(frame)
 
     def maps(self, decoded: Decoded) -> None:
         self._has_maps = True
-        self._viewer.show(self._view.maps, decoded)
+        self._show("maps", decoded)
 
     def result(self, result: object) -> None:
         from fpplab.results.comparison import ComparisonResult
         from fpplab.results.scan import ScanResult
 
-        super().result(result)
-        if isinstance(result, ScanResult) and result.cloud is not None:
-            decoded = None if self._has_maps else result.decoded
-            self._viewer.show(self._view.results, decoded, result.cloud, result.depth, None)
+        if isinstance(result, ScanResult):
+            if not result.diagnosis.is_useless:
+                self.message(result.diagnosis.sentence)
+            if result.cloud is not None:
+                decoded = None if self._has_maps else result.decoded
+                self._show("results", decoded, result.cloud, result.depth, None)
         elif isinstance(result, ComparisonResult):
-            errors_um = 1e3 * result.comparison.distances_mm
-            self._viewer.show(self._view.results, None, result.cloud, None, errors_um)
+            self._show("results", None, result.cloud, None, 1e3 * result.comparison.distances_mm)
 
 
 class CharacterisationObserver(MeasurementObserver):
-    """Shows poses and the fit in the viewer, too."""
+    """Shows poses and the fit."""
+
+    VIEW = "characterisation.CharacterisationView"
 
     def result(self, result: object) -> None:
         from fpplab.characterisation import Characterisation
-        from fpplab.viewer.characterisation import CharacterisationView
 
         if isinstance(result, Characterisation):
-            self._viewer.show(CharacterisationView.result, result)
+            self._show("result", result)
 
 
 class AcceptanceObserver(MeasurementObserver):
-    """Shows the positions of a standard and the fits in the viewer, too."""
+    """Shows the positions of a standard and the fits."""
+
+    VIEW = "acceptance.AcceptanceView"
 
     def result(self, result: object) -> None:
         from fpplab.comparison.acceptance import Acceptance
         from fpplab.pipeline.measuring import Reconstruction
-        from fpplab.viewer.acceptance import AcceptanceView
 
         if isinstance(result, Reconstruction) and result.decoded and result.cloud:
-            item = result.session.path.name
-            self._viewer.show(AcceptanceView.position, item, result.decoded, result.cloud)
+            self._show("position", result.session.path.name, result.decoded, result.cloud)
         elif isinstance(result, Acceptance):
-            self._viewer.show(AcceptanceView.result, result)
+            self._show("result", result)
 
 
-class ResponseObserver(ConsoleObserver):
-    """Shows grey levels and their fit in the viewer, too."""
+class ResponseObserver(ViewObserver):
+    """Shows grey levels and their fit."""
 
-    def __init__(self, viewer: Viewer[ResponseView]) -> None:
-        self._viewer = viewer
+    VIEW = "response.ResponseView"
 
     def result(self, result: object) -> None:
         from fpplab.results.response import GreyLevelFrame, ResponseResult
-        from fpplab.viewer.measurement import ShownFrame
-        from fpplab.viewer.response import ResponseView
 
         if isinstance(result, GreyLevelFrame):
-            shown = ShownFrame.of(result.frame)
-            self._viewer.show_one_of_many(ResponseView.frame, result.level, shown)
+            self._show_frame(result.frame, result.level)
         elif isinstance(result, ResponseResult):
-            self._viewer.show(ResponseView.response, result.response)
+            self._show("response", result.response)
 
 
-class SearchObserver(ConsoleObserver):
-    """Prints the epochs of a search, and shows them in the viewer where there is one."""
+class SearchObserver(ViewObserver):
+    """Shows and prints the epochs of a search."""
 
-    def __init__(self, viewer: Viewer[SearchView] | None) -> None:
-        self._viewer = viewer
+    VIEW = "search.SearchView"
 
     def result(self, result: object) -> None:
         from fpplab.optimisation.candidate_runner import SearchEpoch
 
-        if not isinstance(result, SearchEpoch):
-            return
-        best = result.best.figures
-        self.message(
-            f"epoch {result.number}, {result.step}: {result.measured} candidates; best {best.images} images, "
-            f"{best.surface_smcd_um:.2f} µm"
-        )
-        if self._viewer is not None:
-            from fpplab.viewer.search import SearchView
-
-            self._viewer.show(SearchView.epoch, result)
+        if isinstance(result, SearchEpoch):
+            best = result.best.figures
+            self.message(
+                f"epoch {result.number}, {result.step}: {result.measured} candidates; best {best.images} "
+                f"images, {best.surface_smcd_um:.2f} µm"
+            )
+            self._show("epoch", result)
 
 
-def observe_measurement(
-    context: typer.Context, requested: bool, keep_open: bool, recording: Path | None
+def observe(
+    context: typer.Context,
+    kind: type[ViewObserver],
+    requested: bool,
+    keep_open: bool,
+    recording: Path | None,
 ) -> Observer:
+    """Follow a workflow on stderr, and in the viewer where that is asked for."""
     if not (requested or keep_open):
-        return VerdictObserver()
-    from fpplab.viewer.measurement import MeasurementView as View
-
-    return MeasurementObserver(open_viewer(context, View, requested, keep_open, recording), View)
-
-
-def observe_characterisation(
-    context: typer.Context, requested: bool, keep_open: bool, recording: Path
-) -> Observer:
-    if not (requested or keep_open):
-        return ConsoleObserver()
-    from fpplab.viewer.characterisation import CharacterisationView as View
-
-    return CharacterisationObserver(open_viewer(context, View, requested, keep_open, recording), View)
-
-
-def observe_acceptance(context: typer.Context, requested: bool, keep_open: bool, recording: Path) -> Observer:
-    if not (requested or keep_open):
-        return ConsoleObserver()
-    from fpplab.viewer.acceptance import AcceptanceView as View
-
-    return AcceptanceObserver(open_viewer(context, View, requested, keep_open, recording), View)
-
-
-def observe_response(context: typer.Context, requested: bool, keep_open: bool, recording: Path) -> Observer:
-    if not (requested or keep_open):
-        return ConsoleObserver()
-    from fpplab.viewer.response import ResponseView
-
-    return ResponseObserver(open_viewer(context, ResponseView, requested, keep_open, recording))
-
-
-def observe_search(context: typer.Context, requested: bool, keep_open: bool, recording: Path) -> Observer:
-    if not (requested or keep_open):
-        return SearchObserver(None)
-    from fpplab.viewer.search import SearchView
-
-    return SearchObserver(open_viewer(context, SearchView, requested, keep_open, recording))
+        return kind(None)
+    return kind(open_viewer(context, kind.view(), requested, keep_open, recording))

@@ -69,13 +69,9 @@ def spatial_axes(recording: Recording) -> tuple[Axis, ...]:
     return recording.plan.unwrapped_axes
 
 
-def decode_session(
-    session: Session, progress: Progress = no_progress, *, as_recorded: bool = False
-) -> Decoded:
+def decode_session(session: Session) -> Decoded:
     """Find the projector coordinates of every camera pixel of a session."""
-    # returns (height, width)
-    recording, _ = recording_and_fault(session, progress, as_recorded=as_recorded)
-    return decode(recording, lambda share: progress(0.5 + 0.5 * share))
+    return decode(recording_and_fault(session, no_progress, as_recorded=False)[0])
 
 
 def recording_and_fault(

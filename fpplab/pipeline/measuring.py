@@ -47,21 +47,15 @@ class Reconstruction:
 
 @one_blas_thread()
 def reconstruct_points(
-    session: Session,
-    calibration: Calibration,
-    progress: Progress = no_progress,
-    *,
-    filtering: bool | None = None,
-    depth_mm: DepthInterval | None = None,
-    as_recorded: bool = False,
+    session: Session, calibration: Calibration, *, as_recorded: bool = False
 ) -> tuple[Decoded, Cloud]:
     """Decode, triangulate, filter, and compute uncertainties, without judging the result."""
     # A session without a single point is a `UselessScanError`, which says why.
-    recording = checked_recording(session, calibration, depth_mm, progress, as_recorded=as_recorded)
-    decoded, points = triangulate_recording(recording, calibration, filtering, progress)
+    recording = checked_recording(session, calibration, None, no_progress, as_recorded=as_recorded)
+    decoded, points = triangulate_recording(recording, calibration, None, no_progress)
     if isinstance(points, Diagnosis):
         raise UselessScanError(recording.name, points)
-    return decoded, _with_sigmas(recording, decoded, points, calibration, progress)[0]
+    return decoded, _with_sigmas(recording, decoded, points, calibration, no_progress)[0]
 
 
 @one_blas_thread()

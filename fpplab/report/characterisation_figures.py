@@ -134,12 +134,11 @@ def uncertainty_maps(characterisation: Characterisation) -> Figure:
     calibration, grid = characterisation.calibration, (24, 32)
     figure, both = side_by_side(3.4, (1.0, 1.0))
     to_projector = [calibration.T_projector_camera @ pose for pose in characterisation.poses]
-    devices = (
-        ("camera", [o.camera_px for o in characterisation.observations], characterisation.poses),
-        ("projector", [o.projector_px for o in characterisation.observations], to_projector),
+    by_device = zip(
+        both, characterisation.by_device.items(), (characterisation.poses, to_projector), strict=True
     )
-    for axes, (device, pixels, poses) in zip(both, devices, strict=True):
-        size = getattr(calibration, device).size
+    for axes, (device, seen), poses in by_device:
+        size = seen.size
         u, v = (np.linspace(0, n - 1, k) for n, k in zip(size, grid[::-1], strict=True))
         places = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
         distance = float(np.median([pose.translation[2] for pose in poses]))
@@ -150,7 +149,7 @@ def uncertainty_maps(characterisation: Characterisation) -> Figure:
             extent=(-0.5, size[0] - 0.5, size[1] - 0.5, -0.5),
         )  # fmt: skip
         sensor_axes(axes, size, device)
-        axes.plot(*np.concatenate(pixels).T, ".", color="white", markersize=1.0, alpha=0.5)
+        axes.plot(*np.concatenate(seen.pixels).T, ".", color="white", markersize=1.0, alpha=0.5)
         colour_bar(figure, axes, mapped, "standard uncertainty in px")
         axes.set_title(f"{device} at {distance:.0f} mm: median {np.median(sigma):.2g} px", fontsize=8.5)
     return figure

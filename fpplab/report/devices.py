@@ -114,21 +114,17 @@ def characterisation_section(characterisation: Characterisation) -> ReportSectio
 
 
 def _device_figures(characterisation: Characterisation) -> Iterator[ReportFigure]:
-    observations, calibration = characterisation.observations, characterisation.calibration
-    cameras, projectors = [o.camera_px for o in observations], [o.projector_px for o in observations]
-    devices = (
-        ("camera", calibration.camera.size, cameras, characterisation.camera_residuals),
-        ("projector", calibration.projector.size, projectors, characterisation.projector_residuals),
-    )
-    for device, size, pixels, residuals in devices:
-        picture = figures.residuals_figure(np.concatenate(pixels), np.concatenate(residuals), size, device)
+    devices = characterisation.by_device
+    for device, seen in devices.items():
+        pixels, residuals = np.concatenate(seen.pixels), np.concatenate(seen.residuals)
+        picture = figures.residuals_figure(pixels, residuals, seen.size, device)
         caption = (
             f"Reprojection errors of the {device}, model minus observation: over its pixels, and as a "
             "scatter plot."
         )
         yield ReportFigure.of(picture, f"Reprojection errors of the {device}", caption, wide=True)
-    for device, size, pixels, _ in devices:
-        picture = figures.draw_coverage(pixels, size, device)
+    for device, seen in devices.items():
+        picture = figures.draw_coverage(seen.pixels, seen.size, device)
         caption = (
             f"Where the board's points were on the {device}, one colour per pose. No share of the image is "
             "asked for; ninths of it that both devices see and that lack points are named by a warning."

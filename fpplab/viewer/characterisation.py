@@ -54,21 +54,9 @@ class CharacterisationView(MeasurementView):
         self.canvas.open_on("rig", BOARDS, np.concatenate(points))
         self.canvas.open_on("part", BOARDS, np.concatenate(points))
         self.canvas.bar(f"bars/{BOARDS}", scale)
-        both = (
-            (
-                "camera",
-                [o.camera_px for o in characterisation.observations],
-                characterisation.camera_residuals,
-            ),
-            (
-                "projector",
-                [o.projector_px for o in characterisation.observations],
-                characterisation.projector_residuals,
-            ),
-        )
-        for device, pixels, residual in both:
-            size = getattr(characterisation.calibration, device).size
-            drawn = residuals_figure(np.concatenate(pixels), np.concatenate(residual), size, device)
+        for device, seen in characterisation.by_device.items():
+            pixels, residuals = np.concatenate(seen.pixels), np.concatenate(seen.residuals)
+            drawn = residuals_figure(pixels, residuals, seen.size, device)
             self.canvas.figure(f"diagrams/{device}", drawn, static=True)
         rows = "\n".join(f"| {key} | {value} |" for key, value in characterisation.facts().items())
         self.canvas.text("words/result", f"| | |\n|---|---|\n{rows}")

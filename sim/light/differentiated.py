@@ -68,7 +68,7 @@ class DifferentiatedLight:
     def _trace_motion(self, pixels: PixelIndices | None) -> MotionTable:
         """Trace the scene at some pixels; a table of the whole image has the key of the plain table."""
         key = table_digest(self.scene, self.views, *(() if pixels is None else (pixels,)))
-        return self.motions.get(key, lambda: computed_motion(self.scene, self.views, True, pixels))
+        return self.motions.get(key, lambda: computed_motion(self.scene, self.views, pixels))
 
     def _looked_up(
         self, table: MotionTable, patterns: tuple[Pattern, ...]

@@ -201,7 +201,7 @@ class Light:
                 self._displaced = (key, self._load_or_make(setup, key))
             return self._displaced[1]
         if key in self._motions:  # the same table, with derivatives
-            return self._motions.get(key, lambda: computed_motion(scene, self._views(setup), True)).table
+            return self._motions.get(key, lambda: computed_motion(scene, self._views(setup))).table
         return self._tables.get(key, lambda: self._load_or_make(setup, key))
 
     def inherit(self, other_light: Light) -> None:

@@ -48,10 +48,10 @@ def computed(
 
 
 def computed_motion(
-    scene: RenderScene, views: list[SubpixelView], spots: bool = False, pixels: PixelIndices | None = None
+    scene: RenderScene, views: list[SubpixelView], pixels: PixelIndices | None = None
 ) -> MotionTable:
-    """Compute the same table, and how it changes as the item moves."""
-    return _trace_tables(scene, views, spots, pixels, moving=True)
+    """Compute the same table by spots, and how it changes as the item moves."""
+    return _trace_tables(scene, views, True, pixels, moving=True)
 
 
 def _trace_tables(
