@@ -33,8 +33,8 @@ from fpplab.diagnosis import Diagnosis, Verdict, diagnose_scan
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.pipeline.checking import fault_in_step, plan_fault
-from fpplab.pipeline.triangulating import triangulate_recording
+from fpplab.pipeline.decoding import fault_in_step, plan_fault
+from fpplab.pipeline.measuring import triangulate_recording
 from tests.diagnosis.scenes import Bench, plan_of
 
 SEED, COUNT = 7400, 10

@@ -33,8 +33,8 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase.fine_plan import fine_plan
+from fpplab.pipeline.measuring import triangulate_recording
 from fpplab.pipeline.taking import take_or_resume_session
-from fpplab.pipeline.triangulating import triangulate_recording
 from tests.support.faulty_bench import Bench, healthy
 
 BOUNCES = 4

@@ -21,7 +21,7 @@ from fpplab.diagnosis import Diagnosis, diagnose_scan
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.pipeline.triangulating import triangulate_recording
+from fpplab.pipeline.measuring import triangulate_recording
 from fpplab.reconstruction.motion import compensate_motion
 from fpplab.reconstruction.triangulation import camera_slopes
 

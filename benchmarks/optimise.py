@@ -39,11 +39,9 @@ from benchmarks.virtual import virtual_bench
 from fpplab.cli import console
 from fpplab.core.errors import DataError
 from fpplab.devices.rig import Rig
-from fpplab.optimisation import figures
 from fpplab.optimisation.arrangement import with_calibrations
-from fpplab.optimisation.candidate import Candidate
-from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
-from fpplab.optimisation.confirm_result import ConfirmedPlan, confirm_result
+from fpplab.optimisation.candidate import Candidate, MeasuredCandidate
+from fpplab.optimisation.confirm import Confirmation, ConfirmedPlan, RepeatedFigures, confirm_result
 from fpplab.optimisation.measuring import RigEvaluatorFactory
 from fpplab.optimisation.methods.gradient import Gradient
 from fpplab.optimisation.result import SearchResult
@@ -227,7 +225,7 @@ def beside_singles(found: SearchResult) -> float:
     )
 
 
-def groups_changed(found: SearchResult, trial: figures.MeasuredCandidate) -> set[str]:
+def groups_changed(found: SearchResult, trial: MeasuredCandidate) -> set[str]:
     """Find the groups of parameters in which a candidate differs from the start."""
     values = zip(found.space.parameters, trial.point, found.start.point, strict=True)
     return {parameter.group for parameter, value, begin in values if value != begin}

@@ -15,9 +15,8 @@ from drivers.dlp4500.sequence import SIZE as FLASH
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.candidate import Candidate
+from fpplab.optimisation.candidate import Candidate, MeasuredCandidate
 from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateRunner
-from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.scheduling import InProcessWorkers
 from fpplab.optimisation.screening import SampledEvaluator

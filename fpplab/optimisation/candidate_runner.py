@@ -7,8 +7,7 @@ from functools import cached_property
 
 from fpplab.core.errors import DataError
 from fpplab.core.progress import ignore
-from fpplab.optimisation.candidate import Candidate, Point, Score
-from fpplab.optimisation.figures import MeasuredCandidate
+from fpplab.optimisation.candidate import Candidate, MeasuredCandidate, Point, Score
 from fpplab.optimisation.ranking import CandidateRanking
 from fpplab.optimisation.scheduling import Task, Workers
 from fpplab.optimisation.space import SearchSpace

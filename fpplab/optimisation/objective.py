@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from fpplab.core.tagged_union import concrete_subclasses
-from fpplab.optimisation.figures import MeasuredCandidate
+from fpplab.optimisation.candidate import MeasuredCandidate
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.study import StudyDirection
 from optuna.trial import TrialState
 
-from fpplab.optimisation.candidate import Candidate, Point
+from fpplab.optimisation.candidate import Candidate, MeasuredCandidate, Point
 from fpplab.optimisation.candidate_runner import CandidateRunner
-from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.space import Parameter
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from fpplab.optimisation.figures import MeasuredCandidate
+from fpplab.optimisation.candidate import MeasuredCandidate
 from fpplab.optimisation.objective import Objective, registered_objectives
 from fpplab.optimisation.problem import SearchProblem
 

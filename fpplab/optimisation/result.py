@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.optimisation.candidate import Candidate, Score
+from fpplab.optimisation.candidate import Candidate, CandidateFigures, MeasuredCandidate, Score, seed_means
 from fpplab.optimisation.candidate_runner import SearchEpoch
-from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate, seed_means
 from fpplab.optimisation.ranking import CandidateRanking
 from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.study import Study

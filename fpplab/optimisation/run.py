@@ -14,9 +14,9 @@ from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.core.session_names import CALIBRATION, REPORT
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import with_calibrations
+from fpplab.optimisation.candidate import MeasuredCandidate
 from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateObserver, CandidateRunner
 from fpplab.optimisation.cluster import Meeting
-from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.measuring import RigEvaluator, RigEvaluatorFactory
 from fpplab.optimisation.result import SearchResult

@@ -15,9 +15,8 @@ from fpplab.diagnosis.causes.of_matching_and_search import (
     NO_GAIN,
     NOT_CONFIRMED,
 )
-from fpplab.optimisation.candidate import Point
-from fpplab.optimisation.confirm_result import ConfirmedPlan
-from fpplab.optimisation.figures import MeasuredCandidate, seed_means
+from fpplab.optimisation.candidate import MeasuredCandidate, Point, seed_means
+from fpplab.optimisation.confirm import ConfirmedPlan
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.space import Parameter
 

@@ -29,7 +29,7 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.mosaic import shares_of
 from fpplab.phase import decode
-from fpplab.pipeline.checking import fault_in_step, plan_fault
+from fpplab.pipeline.decoding import fault_in_step, plan_fault
 from fpplab.pipeline.marks import correct_by_marks
 from fpplab.sessions.origin import calibration_origin
 from fpplab.sessions.session import Session

@@ -14,23 +14,66 @@ from fpplab.core.blas import one_blas_thread
 from fpplab.core.checksums import write_recorded
 from fpplab.core.conventions import Axis
 from fpplab.core.depth import DepthInterval, DepthRange
+from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED
 from fpplab.diagnosis import Diagnosis, UselessScanError, diagnose_scan
 from fpplab.diagnosis.geometry import MarksVerdict
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.record import save_diagnosis
+from fpplab.patterns.plan import FilterRules
 from fpplab.patterns.recording import Recording
-from fpplab.phase import Decoded, PointingDrift
-from fpplab.pipeline.decoding import checked_recording
+from fpplab.phase import Decoded, PointingDrift, decode
+from fpplab.pipeline.decoding import checked_recording, plan_fault
 from fpplab.pipeline.geometry import geometry_check
-from fpplab.pipeline.triangulating import triangulate_recording
-from fpplab.reconstruction.depth_range import KnownPixels
+from fpplab.reconstruction.depth_range import KnownPixels, decoding_bounds
+from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
 from fpplab.sessions.session import Session
+
+
+def triangulate_recording(
+    recording: Recording,
+    calibration: Calibration,
+    filtering: bool | None,
+    progress: Progress,
+    limits: DiagnosisLimits = USUAL_LIMITS,
+) -> tuple[Decoded, Cloud | Diagnosis]:
+    """Decode and triangulate; `filtering` replaces what the plan says of its filter."""
+    plan = recording.plan
+    bounds = decoding_bounds(plan, calibration, recording.depth)
+    try:
+        decoded = decode(recording, lambda share: progress(0.3 + 0.28 * share), bounds)
+    except ConfigError as error:
+        if fault := plan_fault(recording):
+            raise DataError(f"{recording.name}: {fault}") from error
+        raise
+    if filtering is not None:
+        plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
+    placed = decoded.of_known_order()
+    if not placed.valid.any():
+        return decoded, diagnose_scan(recording, decoded, None, calibration, limits=limits)
+    try:
+        decoded, cloud = points_of(placed, calibration, plan, recording.mean_image())
+        return decoded, _coloured(cloud, recording, calibration)
+    except DataError:
+        diagnosis = diagnose_scan(recording, decoded, None, calibration, limits=limits)
+        if not diagnosis.findings:
+            raise
+        return decoded, diagnosis
+
+
+def _coloured(cloud: Cloud, recording: Recording, calibration: Calibration) -> Cloud:
+    """Add the part's colours where the camera sees any, beside those of the board where it is known."""
+    assert cloud.pixels is not None
+    colours = recording.colours(cloud.pixels)
+    if colours is None:
+        return cloud
+    levels = colours / (calibration.white or (1.0, 1.0, 1.0))
+    return replace(cloud, rgb=np.rint(np.clip(levels, 0.0, 255.0)).astype(np.uint8))
 
 
 @dataclass(frozen=True, eq=False)

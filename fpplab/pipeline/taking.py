@@ -2,21 +2,44 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from fpplab.acquisition.acquire import FrameObserver, acquire
-from fpplab.acquisition.numbering import next_frame_of, number_frames
+from fpplab.acquisition.acquire import FrameObserver, acquire, end_markers
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.core.session_names import JOURNAL
 from fpplab.devices import Frame
 from fpplab.devices.rig import Mounted, Rig
+from fpplab.devices.simulation import NumberedFrames
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.folder import need_space_for_frames
 from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
-from fpplab.sessions.origin import record_origin
+from fpplab.sessions.origin import record_origin, session_origin
 from fpplab.sessions.session import Session
+
+
+def next_frame_of(rig: Rig) -> int | None:
+    return rig.simulation.next_frame if isinstance(rig.simulation, NumberedFrames) else None
+
+
+def number_frames(rig: Rig, session: Session) -> None:
+    """Number the frames that a session lacks as if none had been taken before; nothing on a real bench."""
+    # The first number is in the session's origin. Sessions that are complete are counted too, so that those
+    # after them get the numbers that they would have had.
+    simulation, origin = rig.simulation, session_origin(session.path)
+    if not isinstance(simulation, NumberedFrames) or origin is None or origin.first_frame is None:
+        return
+    plan, first, missing = session.plan, origin.first_frame, session.missing()
+    numbers: list[int] = []
+    for exposure_s, (start, end) in zip(plan.exposures, pairwise(plan.pass_starts), strict=True):
+        ends = len(end_markers(plan.part_at(exposure_s), rig.projector.caps.size))
+        taken = [first + i for i in missing if start <= i < end]
+        first += ends
+        numbers += [*taken, *range(first + end - ends, first + end)] if taken else []
+    after = first + plan.frames
+    simulation.number_frames(numbers, max(simulation.next_frame, after))
 
 
 def take_or_resume_session(

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure as Sheet
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from fpplab.core.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, as_png, side_by_side, single_axes
-from fpplab.optimisation.confirm_result import ConfirmedPlan
-from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate
+from fpplab.optimisation.candidate import CandidateFigures, MeasuredCandidate
+from fpplab.optimisation.confirm import ConfirmedPlan
 from fpplab.optimisation.objective import Objective, registered_objectives
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.scoring import ArtefactFigures

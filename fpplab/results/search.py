@@ -8,7 +8,7 @@ from typing import Any
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.diagnosis import Diagnosis
-from fpplab.optimisation.confirm_result import ConfirmedPlan
+from fpplab.optimisation.confirm import ConfirmedPlan
 from fpplab.optimisation.result import SearchResult
 from fpplab.results.provenance import Provenance
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure as Sheet
 
 from fpplab.core.drawing import ACCENT, ALARM, FULL, SECOND, as_png, single_axes
+from fpplab.optimisation.candidate import CandidateFigures, MeasuredCandidate
 from fpplab.optimisation.candidate_runner import SearchEpoch
-from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate
 from fpplab.viewer import layouts
 from fpplab.viewer.canvas import CommandView
 

@@ -16,7 +16,7 @@ from fpplab.workflows.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
     from fpplab.optimisation.candidate import Candidate
-    from fpplab.optimisation.confirm_result import ConfirmedPlan
+    from fpplab.optimisation.confirm import ConfirmedPlan
     from fpplab.optimisation.measuring import RigEvaluator
     from fpplab.optimisation.result import SearchResult
     from fpplab.optimisation.study import Study
@@ -51,7 +51,7 @@ def run_optimisation(request: OptimisationRequest, observer: Observer | None = N
     need_extra("optuna")
     need_extra("distributed")
 
-    from fpplab.optimisation import confirm_result, run
+    from fpplab.optimisation import confirm, run
     from fpplab.optimisation.cluster import Meeting
     from fpplab.optimisation.verdict import diagnose_search
     from fpplab.report.optimisation import write_optimisation_report
@@ -59,7 +59,7 @@ def run_optimisation(request: OptimisationRequest, observer: Observer | None = N
 
     observer = observer or Observer()
     if request.confirm:
-        confirm_result.check_confirmable(request.confirm, request.study, request.study_name)
+        confirm.check_confirmable(request.confirm, request.study, request.study_name)
     scheduler = Meeting.at(request.scheduler, request.certificate) if request.scheduler else None
     stopwatch = Stopwatch()
     with observer.stage("Searching") as progress:
@@ -109,7 +109,7 @@ def prepare_output(request: OptimisationRequest) -> None:
 def _confirm_with_other_seeds(
     request: OptimisationRequest, search: SearchResult, observer: Observer
 ) -> tuple[ConfirmedPlan, ...]:
-    from fpplab.optimisation.confirm_result import confirm_result
+    from fpplab.optimisation.confirm import confirm_result
     from fpplab.optimisation.run import work_folder
 
     if not (request.confirm and search.plans):

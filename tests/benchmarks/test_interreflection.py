@@ -11,7 +11,7 @@ from fpplab.core.progress import no_progress
 from fpplab.diagnosis.causes.interreflection import COAT, offer
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.phase.fine_plan import fine_plan
-from fpplab.pipeline.triangulating import triangulate_recording
+from fpplab.pipeline.measuring import triangulate_recording
 
 
 def test_view_factors_add_up_to_that_of_the_whole_wall() -> None:

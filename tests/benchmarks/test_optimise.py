@@ -28,10 +28,8 @@ from fpplab.core import config
 from fpplab.core.errors import DataError
 from fpplab.core.session_names import CALIBRATION
 from fpplab.core.system import cache_directory
-from fpplab.optimisation.candidate import Candidate
-from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
-from fpplab.optimisation.confirm_result import ConfirmedPlan
-from fpplab.optimisation.figures import seed_means
+from fpplab.optimisation.candidate import Candidate, seed_means
+from fpplab.optimisation.confirm import Confirmation, ConfirmedPlan, RepeatedFigures
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.run import run_search
 from fpplab.optimisation.scope import SearchScope

@@ -20,7 +20,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from fpplab.optimisation.figures import MeasuredCandidate
+from fpplab.optimisation.candidate import MeasuredCandidate
 from fpplab.optimisation.objective import Objective, ObjectiveLimit
 
 

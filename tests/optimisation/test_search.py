@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from fpplab.core import config, errors
 from fpplab.core.errors import ConfigError, DataError, LimitError
-from fpplab.optimisation.candidate import Candidate, Score
+from fpplab.optimisation.candidate import Candidate, CandidateFigures, MeasuredCandidate, Score
 from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateRunner
-from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate
 from fpplab.optimisation.methods.gradient import Gradient
 from fpplab.optimisation.methods.nsga2 import _noise_bound
 from fpplab.optimisation.ranking import CandidateRanking

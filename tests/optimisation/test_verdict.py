@@ -11,10 +11,9 @@ from fpplab.cli.every import app
 from fpplab.core import config
 from fpplab.diagnosis import Diagnosis, UselessScanError, Verdict
 from fpplab.optimisation import run
-from fpplab.optimisation.candidate import Candidate, Score
+from fpplab.optimisation.candidate import Candidate, MeasuredCandidate, Score
 from fpplab.optimisation.candidate_runner import BudgetExhausted
-from fpplab.optimisation.confirm_result import ConfirmedPlan
-from fpplab.optimisation.figures import MeasuredCandidate
+from fpplab.optimisation.confirm import ConfirmedPlan
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.study import Study
 from fpplab.optimisation.verdict import diagnose_search

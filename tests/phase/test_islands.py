@@ -17,7 +17,7 @@ from fpplab.patterns.recording import KnownCoordinate, Recording
 from fpplab.phase import Decoded, check_unwrapping, decode
 from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.phase.islands import find_islands
-from fpplab.pipeline.triangulating import triangulate_recording
+from fpplab.pipeline.measuring import triangulate_recording
 from sim.warmup import SIZE as CAMERA
 from sim.warmup import small_rig
 

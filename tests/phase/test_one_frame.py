@@ -13,7 +13,7 @@ from fpplab.diagnosis import Verdict, diagnose_decoded
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import KnownCoordinate, Recording
 from fpplab.phase import check_codes, decode
-from fpplab.pipeline.checking import plan_fault
+from fpplab.pipeline.decoding import plan_fault
 
 SIZE, STRIPES = (912, 1140), 100.0
 PERIOD = SIZE[0] / STRIPES

@@ -10,7 +10,7 @@ from fpplab.core.progress import no_progress
 from fpplab.diagnosis import Diagnosis, diagnose_scan
 from fpplab.patterns.motion import Compensation, PartMotion
 from fpplab.phase import decode
-from fpplab.pipeline.triangulating import triangulate_recording
+from fpplab.pipeline.measuring import triangulate_recording
 from fpplab.reconstruction.motion import _Follower, _part_motion, _Region, _Tiles, compensate_motion
 from tests.diagnosis.scenes import Bench, plan_of
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from fpplab.reconstruction.regions import mark_small_regions
+from fpplab.reconstruction.filtering import mark_small_regions
 
 H, W = 150, 90  # several bands
 

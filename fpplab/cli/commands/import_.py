@@ -88,7 +88,7 @@ def import_command(
     if plan is None:
         raise ConfigError("--plan: is missing; name the plan that the images show")
     from fpplab.patterns.plan import Plan
-    from fpplab.pipeline.checking import doubts_about_session
+    from fpplab.pipeline.decoding import doubts_about_session
     from fpplab.sessions.image_selection import ImageSelection, numbers_of
     from fpplab.sessions.importing import import_images
 

@@ -10,9 +10,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from fpplab.optimisation.candidate import Point
+from fpplab.optimisation.candidate import MeasuredCandidate, Point
 from fpplab.optimisation.candidate_runner import CandidateRunner
-from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.ranking import Rank
 from fpplab.optimisation.search_method import SearchMethod
 from fpplab.optimisation.space import Parameter

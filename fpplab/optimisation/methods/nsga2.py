@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from fpplab.core.errors import ConfigError
-from fpplab.optimisation.candidate import Candidate, Point
+from fpplab.optimisation.candidate import Candidate, MeasuredCandidate, Point
 from fpplab.optimisation.candidate_runner import CandidateRunner
-from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.methods.coordinate import Coordinate, coordinate_search
 from fpplab.optimisation.search_method import SearchMethod
 from fpplab.phase.coded_axes import axes_by_codes, coded_coordinate

@@ -6,7 +6,7 @@ from pydantic import Field
 from typing_extensions import override
 
 from fpplab.core.config import Positive
-from fpplab.optimisation.figures import MeasuredCandidate
+from fpplab.optimisation.candidate import MeasuredCandidate
 from fpplab.optimisation.objective import Objective, ObjectiveLimit
 
 

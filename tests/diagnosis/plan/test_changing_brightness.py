@@ -8,7 +8,7 @@ import pytest
 
 from fpplab.core.conventions import Image
 from fpplab.diagnosis.plan import describe_changing_brightness
-from fpplab.pipeline.checking import fault_in_step
+from fpplab.pipeline.decoding import fault_in_step
 from tests.diagnosis.plan.test_other_patterns import PLAN, SETS, GrayBench, sinusoids
 from tests.diagnosis.scenes import Bench, plan_of
 
