@@ -12,7 +12,7 @@ import numpy as np
 
 from fpplab.core.conventions import Axis
 from fpplab.core.errors import ConfigError, DataError, DeviceError
-from fpplab.core.files import write_atomic
+from fpplab.core.files import replace_file, write_atomic
 from fpplab.devices.backends import load_backend
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import stepped_fringes
@@ -161,7 +161,7 @@ def export_preview(preview: Preview, out: Path) -> None:
             with described.open("wb") as stream:
                 write_preview(preview, stream)
             _run_blender(described, made)
-            made.replace(out)
+            replace_file(made, out)
     except OSError as error:
         raise DataError(f"{out}: cannot be written ({error.strerror})") from error
 
@@ -172,7 +172,13 @@ def _run_blender(described: Path, made: Path) -> None:
     doing = ("Blender", "export")
     try:
         done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, timeout=START_S, check=False
+            command,
+            env=environment,
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=START_S,
+            check=False,
         )
     except subprocess.TimeoutExpired as error:
         raise DeviceError(*doing, f"no file within {START_S:.0f} s", "run the command again") from error

@@ -6,8 +6,10 @@ import os
 import re
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from difflib import get_close_matches
 from mmap import mmap
 from pathlib import Path
@@ -15,7 +17,7 @@ from typing import Any, BinaryIO, cast
 
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.lock import try_lock
-from fpplab.core.system import posix, system_module
+from fpplab.core.system import WINDOWS, posix, system_module
 from fpplab.core.units import readable_bytes
 
 fcntl = system_module("fcntl")  # None on Windows
@@ -73,6 +75,17 @@ def _set_direct(handle: int, direct: bool) -> None:
     flags = fcntl.fcntl(handle, fcntl.F_GETFL)
     with suppress(OSError):
         fcntl.fcntl(handle, fcntl.F_SETFL, flags | posix.O_DIRECT if direct else flags & ~posix.O_DIRECT)
+
+
+@dataclass(frozen=True)
+class FileLimits:
+    """How long Windows keeps a file from being replaced."""
+
+    opened_s: float = 2.0  # for which scanners of viruses and readers have a new file open (chosen)
+    again_s: float = 0.02  # after which it is tried again (chosen)
+
+
+LIMITS = FileLimits()
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -177,13 +190,27 @@ def _draft_replacing(path: Path) -> Iterator[io.BufferedWriter]:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
-        os.replace(name, path)
+        replace_file(Path(name), path)
         flush_folder(path.parent)
     except BaseException as error:
         Path(name).unlink(missing_ok=True)
         if isinstance(error, OSError):
             raise DataError(_cannot_write(path, error)) from error
         raise
+
+
+def replace_file(draft: Path, path: Path) -> None:
+    """Give a file the name of another; on Windows only once no program has that one open."""
+    end_s = time.monotonic() + LIMITS.opened_s
+    while True:
+        try:
+            os.replace(draft, path)
+        except PermissionError:
+            if not WINDOWS or time.monotonic() > end_s:
+                raise
+            time.sleep(LIMITS.again_s)
+        else:
+            return
 
 
 def sweep_file_drafts(path: Path) -> None:
@@ -240,7 +267,7 @@ def write_by_name(path: Path, write: Callable[[Path], object]) -> None:
             write(draft)
             with draft.open("rb+") as stream:
                 os.fsync(stream.fileno())
-            os.replace(draft, path)
+            replace_file(draft, path)
             flush_folder(path.parent)
 
 
@@ -264,12 +291,24 @@ def writing(path: Path) -> Iterator[None]:
 def _cannot_write(path: Path, error: OSError) -> str:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{path}: no space left on the disk; free some and run the same command again"
+    if WINDOWS and isinstance(error, PermissionError):
+        return f"{path}: cannot be written ({error.strerror}); close it in other programs"
     return f"{path}: cannot be written ({error.strerror})"
 
 
 def need_suffix(path: Path, *allowed: str) -> None:
     if path.suffix.lower() not in allowed:
         raise ConfigError(f"{path}: its name must end in {' or '.join(allowed)}")
+
+
+RESERVED = re.compile(
+    r'(?:con|prn|aux|nul|com\d|lpt\d)(?:\..*)?|.*[<>:"/\\|?*\x00-\x1f].*|.*[. ]|', re.IGNORECASE | re.DOTALL
+)
+
+
+def is_portable_name(name: str) -> bool:
+    """Whether a file can have this name on every system: Windows reserves some, for devices."""
+    return not RESERVED.fullmatch(name)
 
 
 def refuse_existing(path: Path, force: bool) -> None:

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -69,35 +70,34 @@ def locked_file(path: Path) -> Iterator[bool]:
         yield handle is not None
     finally:
         if handle is not None:
-            # Windows does not delete an open file, and a disk may be gone: the file stays, unlocked.
-            with suppress(OSError):
-                path.unlink(missing_ok=True)  # while it is locked, so that no other process's file is deleted
-            os.close(handle)
+            _delete_and_close(handle, path)
 
 
 def _locked(path: Path) -> int | None:
     while True:
-        handle = open_lock(path)
+        handle, let_go = open_lock(path), os.close
         try:
             if not _lock(handle, path):
                 os.close(handle)
                 return None
             if _is_there_still(handle, path):
-                _write_owner_or_delete(handle, path)
+                let_go = partial(_delete_and_close, path=path)  # or on a full disk an empty file would stay
+                write_lock_owner(handle)
                 return handle
         except BaseException:
-            os.close(handle)
+            let_go(handle)
             raise
         os.close(handle)
 
 
-def _write_owner_or_delete(handle: int, path: Path) -> None:
-    try:
-        write_lock_owner(handle)
-    except BaseException:  # such as a full disk, on which the empty file would stay
-        with suppress(PermissionError):
-            path.unlink(missing_ok=True)
-        raise
+def _delete_and_close(handle: int, path: Path) -> None:
+    """Delete a file that is locked here, and no other process's."""
+    if fcntl is None:
+        os.close(handle)  # Windows deletes no file that any process has open
+    with suppress(OSError):  # of a disk that is gone: the file stays, unlocked
+        path.unlink(missing_ok=True)
+    if fcntl is not None:
+        os.close(handle)  # only now, or another process could have locked it
 
 
 def _lock(handle: int, path: Path) -> bool:

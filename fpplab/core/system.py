@@ -38,6 +38,9 @@ def system_module(name: str) -> Any:
         return None
 
 
+WINDOWS = system_module("msvcrt") is not None
+
+
 def cache_directory() -> Path:
     chosen = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
     return Path(chosen or Path.home() / ".cache") / "fpplab"

@@ -3,6 +3,7 @@
 import glob
 import re
 import shutil
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -40,8 +41,9 @@ def remove_incomplete_files(path: Path) -> None:
 def remove_session(path: Path) -> None:
     """Delete a session that is to be replaced; nothing that fpplab did not write into it is ever deleted."""
     require_session(path)
-    with writing(path):
-        shutil.rmtree(path)
+    with writing(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as aside:
+        # As a whole, or on Windows not at all: while a program has one of its files open.
+        path.rename(Path(aside) / path.name)
 
 
 def remove_temporary_folders(path: Path) -> None:

@@ -16,6 +16,7 @@ from fpplab.core.journals import cut_torn_line
 from fpplab.core.logs import LOGGERS
 from fpplab.core.session_names import LOG
 
+BINARY = getattr(os, "O_BINARY", 0)  # without it, Windows would write newlines as two bytes
 FIELDS = ("phase", "seconds", "device", "sent")  # what records may hold besides their message
 
 
@@ -39,7 +40,7 @@ class SessionLog(logging.Handler):
     def append(self, **fields: Any) -> None:
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         with suppress(OSError):  # a full disk, or a session that was removed, stops no measurement here
-            handle = os.open(self._file, os.O_WRONLY | os.O_APPEND)
+            handle = os.open(self._file, os.O_WRONLY | os.O_APPEND | BINARY)
             try:
                 os.write(handle, json.dumps({"time": now, **fields}).encode() + b"\n")
             finally:

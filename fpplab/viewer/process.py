@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fpplab.core.errors import DeviceError
+from fpplab.core.files import replace_file
 from fpplab.viewer.messages import WAITING, Opening
 from fpplab.viewer.server import ViewerServer, open_server
 
@@ -90,7 +91,7 @@ def _publish(draft: Path, path: Path) -> None:
     if path.parent.is_dir():
         copy = path.with_name(f".{path.name}.draft")
         shutil.copyfile(draft, copy)
-        os.replace(copy, path)
+        replace_file(copy, path)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ def compile_shader() -> str:
         compiled = Path(folder) / "camera.oso"
         if not _cycles.osl_compile(str(SOURCE), str(compiled)):
             raise RuntimeError(f"{SOURCE.name} does not compile")
-        return compiled.read_text()
+        return compiled.read_text(encoding="utf-8")
 
 
 def add_camera(scene: Any, optics: PinholeOptics, aperture: Aperture, bytecode: str | None) -> Any:
