@@ -72,7 +72,7 @@ class EmulatedPylon(Pylon):
         """Switch pylon's emulation on and plug the cameras in."""
         self._before = os.environ.get(CAMERA_COUNT_VARIABLE)
         os.environ[CAMERA_COUNT_VARIABLE] = str(self._cameras)
-        self._folder = tempfile.TemporaryDirectory(prefix="fpplab-pylon-")
+        self._folder = tempfile.TemporaryDirectory(prefix="fpplab-pylon-", ignore_cleanup_errors=True)
         self.light = EmulatedSensorImage(Path(self._folder.name))
         self.plug_in()
 
@@ -284,8 +284,6 @@ class EmulatedSensorImage:
         self._image_folder = image_folder
         self.folder = image_folder / "light"
         self.folder.mkdir()
-        for name in ("a.tif", "b.tif"):  # of a single name the emulator would read the file once
-            (self.folder / name).symlink_to(image_folder / "now.tif")
 
     def set_image(self, image: Image, bits: int) -> None:
         scaled = image if bits == 8 else np.left_shift(image.astype(raw_dtype(16)), 16 - bits)
@@ -297,4 +295,7 @@ class EmulatedSensorImage:
     def _replace(self, write: Callable[[Path], object]) -> None:
         draft = self._image_folder / "draft"
         write(draft)
-        os.replace(draft, self._image_folder / "now.tif")
+        for name in ("a.tif", "b.tif"):  # of a single name the emulator would read the file once
+            os.link(draft, self._image_folder / name)  # a symbolic one is for administrators of Windows
+            os.replace(self._image_folder / name, self.folder / name)
+        draft.unlink()

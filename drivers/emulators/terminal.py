@@ -1,12 +1,13 @@
-"""A pseudo-terminal with an emulated device at its far end: programs open it as they open a serial port."""
+"""A serial line with an emulated device at its far end: programs open it as they open a serial port."""
 
 import os
 import select
+import socket
 import threading
+from contextlib import suppress
 from types import TracebackType
 from typing import Protocol, Self
 
-from fpplab.core.errors import DeviceError
 from fpplab.core.system import posix, system_module
 
 POLL_S = 0.002  # longest time in s between two queries of the emulated device (chosen)
@@ -25,11 +26,68 @@ class SerialEmulator(Protocol):
         """Advance to the present time and return what there is to send; called at least every `POLL_S`."""
 
 
+class _Terminal:
+    """A pseudo-terminal."""
+
+    def __init__(self) -> None:
+        self._near, self._far = posix.openpty()
+        system_module("tty").setraw(self._far)  # or the system would echo the device's output back to it
+        posix.set_blocking(self._near, False)
+        self.port: str = posix.ttyname(self._far)
+
+    def fileno(self) -> int:
+        return int(self._near)
+
+    def read(self) -> bytes:
+        return os.read(self._near, 4096)
+
+    def write(self, data: bytes) -> int:
+        return os.write(self._near, data)
+
+    def close(self) -> None:
+        os.close(self._near)
+        os.close(self._far)
+
+
+class _Port:
+    """A port of this computer, for systems without pseudo-terminals."""
+
+    def __init__(self) -> None:
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self._program: socket.socket | None = None
+        self.port = f"socket://127.0.0.1:{self._listening.getsockname()[1]}"
+
+    def fileno(self) -> int:
+        return (self._program or self._listening).fileno()
+
+    def read(self) -> bytes:
+        if self._program is None:
+            self._program = self._listening.accept()[0]
+            self._program.setblocking(False)
+            return b""
+        with suppress(OSError):
+            if data := self._program.recv(4096):
+                return data
+        self._program.close()
+        self._program = None
+        return b""
+
+    def write(self, data: bytes) -> int:
+        with suppress(ConnectionError):
+            return self._program.send(data) if self._program else len(data)
+        return len(data)
+
+    def close(self) -> None:
+        for each in (self._program, self._listening):
+            if each is not None:
+                each.close()
+
+
 class PseudoTerminal:
     """Serves a device while its context is entered, in a thread of its own.
 
     Baud rate and parity do not matter, since there is no wire. Bytes that no program reads are lost, as on a
-    serial line. Entering raises `DeviceError` where the system has no pseudo-terminals.
+    serial line. Where the system has no pseudo-terminals, `port` is a socket's, which pyserial opens too.
     """
 
     def __init__(self, device: SerialEmulator) -> None:
@@ -39,13 +97,8 @@ class PseudoTerminal:
         self._plugged = False
 
     def __enter__(self) -> Self:
-        tty = system_module("tty")
-        if tty is None:
-            raise DeviceError("emulator", "open", "this system has no pseudo-terminals", "use Linux or macOS")
-        self._near, self._far = posix.openpty()
-        tty.setraw(self._far)  # or the system would echo the device's output back to it
-        posix.set_blocking(self._near, False)
-        self.port, self._plugged = posix.ttyname(self._far), True
+        self._end = _Port() if system_module("tty") is None else _Terminal()
+        self.port, self._plugged = self._end.port, True
         self._served.start()
         return self
 
@@ -61,17 +114,16 @@ class PseudoTerminal:
 
     def _serve(self) -> None:
         while self._plugged:
-            ready, _, _ = select.select([self._near], [], [], POLL_S)
+            ready, _, _ = select.select([self._end], [], [], POLL_S)
             with self.lock:
-                if ready:
-                    self.device.receive(os.read(self._near, 4096))
+                if ready and (data := self._end.read()):
+                    self.device.receive(data)
                 self._send(self.device.poll())
-        os.close(self._near)
-        os.close(self._far)
+        self._end.close()
 
     def _send(self, data: bytes) -> None:
         while data and self._plugged:
             try:
-                data = data[os.write(self._near, data) :]
+                data = data[self._end.write(data) :]
             except BlockingIOError:
                 return  # no program reads: the bytes are lost, as on a serial line

@@ -65,7 +65,9 @@ class GrblWire:
         self._settings: dict[int, float] = {}
         self._build_options: str | None = None
         try:
-            self._serial = serial.Serial(port, BAUD, timeout=0, write_timeout=ANSWER_S, exclusive=True)
+            self._serial = serial.serial_for_url(
+                port, BAUD, timeout=0, write_timeout=ANSWER_S, exclusive=True
+            )
         except (OSError, ValueError) as error:
             raise _not_opened(name, port, error) from error
 

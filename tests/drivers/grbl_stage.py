@@ -106,5 +106,7 @@ class DirectLine:
     def write(self, data: bytes) -> None:
         self._controller.receive(data)
 
-    def close(self) -> None:
-        """There is nothing to close."""
+    def open(self) -> None:
+        """There is nothing to open, nor to close."""
+
+    close = open

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from drivers.emulators import terminal
 from drivers.emulators.grbl import GrblController, GrblPolicy, GrblState, Rail
 from drivers.emulators.grbl.drive import DEFAULTS
 from drivers.emulators.grbl.gcode import Modes
@@ -50,6 +51,15 @@ def test_homing_ends_at_zero_wherever_it_began(start_mm: float) -> None:
         stage = bench.homed()
         assert stage.position_mm == 0.0
         assert bench.controller.drive.carriage_mm == PULL_OFF_MM
+
+
+def test_it_moves_where_there_are_no_pseudo_terminals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows has none: the emulated line is a socket there, which is opened again and again."""
+    monkeypatch.setattr(terminal, "system_module", lambda name: None)
+    with Bench() as bench:
+        for mm in (3.0, 5.0):
+            assert bench.homed().move_to(mm, 5.0) == pytest.approx(mm, abs=HALF_STEP)
+            bench.stage.close()
 
 
 AS_DELIVERED = Modes()
