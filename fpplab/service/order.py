@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -10,6 +9,7 @@ from pydantic import Field
 from fpplab.core.config import Document
 from fpplab.core.confirmation import ConfirmationRequired
 from fpplab.core.errors import ConfigError
+from fpplab.core.files import is_portable_name
 from fpplab.service.state import ScanState
 
 
@@ -48,12 +48,10 @@ class ScanOrder(Document):
             raise ConfigError(f"order: '{name}' is for orders from the service's own computer; leave it out")
         for name in ("plan", "calibration", "out", "limits"):
             value = getattr(self, name)
-            if isinstance(value, str) and (
-                Path(value).name != value or value.startswith(".") or "\\" in value
-            ):
+            if isinstance(value, str) and (value.startswith(".") or not is_portable_name(value)):
                 raise ConfigError(
                     f"order: '{name}' is '{value}': from another computer it is a name in the service's "
-                    "folder, without / and \\"
+                    "folder, without / \\ : and other signs that Windows does not allow"
                 )
 
 

@@ -62,7 +62,8 @@ class ScanQueue:
             self._last += 1
             status = ScanStatus(id=self._last, ordered_s=time.time(), out=order.out and str(self._out(order)))
             self._store(status, order)
-            self._record(self._last - LIMITS.max_records).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # Windows keeps it as long as a client reads it
+                self._record(self._last - LIMITS.max_records).unlink()
             self._active[status.id] = status
         self._waiting.put((status.id, order))
         return status

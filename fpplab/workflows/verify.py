@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.files import is_portable_name, need_suffix, refuse_existing
 from fpplab.core.session_names import CLOUD, JOURNAL
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
@@ -124,6 +124,11 @@ def _scan_standard(
     if not items:
         raise ConfigError(
             f"standard '{standard.name}': 'items' is empty; name what the rig's fixture holds, by position"
+        )
+    if wrong := [item for item in items if not is_portable_name(item)]:
+        raise ConfigError(
+            f"standard '{standard.name}': 'items' names '{wrong[0]}': its scan is a folder of that name, "
+            "which Windows does not allow; rename the item"
         )
     check_plan(plan, "--plan", calibration, rig)
     folder = request.out.with_name(request.out.stem + "_scans")

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
-from fpplab.cli.commands.live import live_command
+from fpplab.cli import console
+from fpplab.cli.commands.live import _clear_line, live_command
 from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
 from tests.setup.live.benches import rig_file
@@ -35,6 +37,15 @@ def test_it_answers_with_what_was_chosen(fpplab: Command, tmp_path: Path) -> Non
     again = fpplab("live", "--rig", rig, "--frames", "3", "--out", out)
     assert again.code == 2
     assert "--force" in again.err
+
+
+def test_the_line_of_figures_needs_no_codes_of_a_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Older consoles of Windows would print them."""
+    monkeypatch.setattr(console, "stderr", Console(force_terminal=True, width=20))
+    _clear_line()
+    assert capsys.readouterr().err == f"\r{19 * ' '}\r"
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,19 @@ def bench(fpplab: Command, tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return Bench(folder, standard, calibration, done.json)
 
 
+def test_an_item_that_is_no_folder_on_windows_is_refused(
+    fpplab: Command, bench: Bench, tmp_path: Path
+) -> None:
+    document = yaml.safe_load(bench.standard.read_text())
+    (tmp_path / "standard.yaml").write_text(yaml.safe_dump({**document, "items": {"plane": ["aux"]}}))
+    done = fpplab(
+        "verify", "--standard", tmp_path / "standard.yaml", "--rig", "rig_demo_quick",
+        "--calibration", bench.calibration, "--out", tmp_path / "verify.html",
+    )  # fmt: skip
+    assert done.code == 2
+    assert "'items' names 'aux'" in done.err
+
+
 def test_positions_and_the_fits_errors_were_shown(bench: Bench) -> None:
     shown = Recording(bench.folder / "verify.rrd")
     assert shown.frames("world/camera/image")

@@ -194,7 +194,7 @@ def test_the_page_of_the_interface_fetches_nothing_from_elsewhere(client: Servic
     assert {"/scans", "/scans/{number}", "/rig"} <= set(schema["paths"])
 
 
-@pytest.mark.parametrize("name", ["../plan.yaml", "/etc/passwd", "..", "a\\b"])
+@pytest.mark.parametrize("name", ["../plan.yaml", "/etc/passwd", "..", "a\\b", "C:b", "con"])
 def test_another_computer_names_nothing_outside_the_folder(name: str) -> None:
     for field in ("plan", "calibration", "out", "limits"):
         with pytest.raises(ConfigError, match=field):

@@ -120,7 +120,7 @@ class _StatusLine:
 
 def _clear_line() -> None:
     if console.stderr.is_terminal:
-        sys.stderr.write("\r\x1b[K")
+        sys.stderr.write(f"\r{'':{console.stderr.width - 1}}\r")  # consoles of Windows may know no codes
         sys.stderr.flush()
 
 
