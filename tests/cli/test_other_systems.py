@@ -1,6 +1,8 @@
-"""Commands without what only Linux has, and with nothing in the cache; a scan beside the same on Linux."""
+"""Commands without what only Linux has, beside the same on Linux: they end well, and with the same bytes."""
 
+import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,69 +11,108 @@ import pytest
 
 from fpplab.calibration.model import Calibration
 from sim.world import World
+from tests.setup.live.benches import rig_file
 from tests.support import commands
 
 PRETENDING = "from tests.core.windows import pretend; pretend()\n"
 """Begins every Python process of a command, the twin's Blender too."""
-SAME = ("frames", "cloud.ply", "plan.yaml")
-"""Parts of a session that do not tell when it was recorded."""
+TIMED = {"journal.jsonl", "match.jsonl", "origin.yaml", "result.json", "verdict.yaml"}
+"""Files that tell when and in how many seconds they came about, as pages do; logs tell nothing else."""
+TIMES = re.compile(
+    rb'\d{4}-\d\d-\d\d[T ][\d:.+]+(Z| UTC)?|"(host_time_s|seconds)": [\d.e+-]+|\b[\d.]+ s\b'
+    rb'|data:(?:text/csv|application/json)[^"]*'  # tables of pages, which are in them as text too
+)
 
 
-def run(folder: Path, *words: str) -> str:
+def run(folder: Path, *words: object, **environment: str) -> str:
     """Run a command of fpplab in a folder, without what only Linux has; what it prints."""
-    (folder / "site").mkdir(parents=True, exist_ok=True)
-    (folder / "site" / "sitecustomize.py").write_text(PRETENDING)
-    (folder / "tmp").mkdir(exist_ok=True)
-    environment = {
+    aside = folder.with_name(f"{folder.name}_aside")
+    (aside / "tmp").mkdir(parents=True, exist_ok=True)
+    (aside / "sitecustomize.py").write_text(PRETENDING)
+    used = {
         **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(folder / "site"), str(commands.ROOT)]),
-        "XDG_CACHE_HOME": str(folder / "cache"),
-        "TMPDIR": str(folder / "tmp"),
+        "PYTHONPATH": os.pathsep.join([str(aside), str(commands.ROOT)]),
+        "XDG_CACHE_HOME": str(aside / "cache"),
+        "TMPDIR": str(aside / "tmp"),
+        **environment,
     }
-    command = [sys.executable, "-P", "-m", "fpplab", *words]
+    command = [sys.executable, "-P", "-m", "fpplab", *map(str, words)]
     done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=500, check=False
+        command, cwd=folder, env=used, capture_output=True, text=True, timeout=500, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    """All files of the parts that are the same in every run."""
-    files = [path for part in SAME for path in (folder / part, *(folder / part).rglob("*")) if path.is_file()]
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+    """All files in a folder, without times; of logs, whether lines end as elsewhere."""
+    files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
+    return {name: _content(files[name]) for name in sorted(files)}
 
 
-SCAN = (
-    *("scan", "--rig", "rig_demo_quick", "--plan", "plan_nine_images", "--item", "pillars"),
-    *("--calibration", "calibration.yaml", "--out", "scan"),
-)
+def _content(path: Path) -> bytes:
+    if path.name == "log.jsonl":
+        return b"\r" if b"\r" in path.read_bytes() else b""
+    has_times = path.name in TIMED or path.suffix == ".html"
+    return TIMES.sub(b"", path.read_bytes()) if has_times else path.read_bytes()
 
 
-def save_calibration(folder: Path) -> None:
-    """Write the devices of the rig as they are."""
+def same(linux: Path, windows: Path) -> int:
+    """How many files both folders hold, all the same."""
+    ours, theirs = content(windows), content(linux)
+    assert list(ours) == list(theirs)
+    assert [name for name in ours if ours[name] != theirs[name]] == []
+    return len(ours)
+
+
+@pytest.fixture
+def folders(tmp_path: Path) -> tuple[Path, Path]:
+    """For Linux and for what pretends to be Windows: a calibration of the rig as it is, and a small bench."""
     of = World.load("world_demo").binned(8)
     devices = of.camera_model(), of.projector_model(), of.T_projector_camera()
-    Calibration(*devices, rms_px={"camera": 0.05, "projector": 0.05, "joint": 0.05}).save(
-        folder / "calibration.yaml"
-    )
+    made = tmp_path / "linux", tmp_path / "windows"
+    for folder in made:
+        rig_file(folder)
+        rms_px = {"camera": 0.05, "projector": 0.05, "joint": 0.05}
+        Calibration(*devices, rms_px=rms_px).save(folder / "calibration.yaml")
+    return made
+
+
+def both(folders: tuple[Path, Path], *words: object, **environment: str) -> tuple[commands.Outcome, str]:
+    """Run a command on both."""
+    done = commands.run(*words, cwd=folders[0])
+    assert done.code == 0, done.err
+    return done, run(folders[1], *words, **environment)
 
 
 @pytest.mark.whole
-def test_a_scan_of_the_twin_is_the_same_without_what_only_linux_has(tmp_path: Path) -> None:
-    folders = tmp_path / "linux", tmp_path / "windows"
-    for folder in folders:
-        folder.mkdir()
-        save_calibration(folder)
-    done = commands.run(*SCAN, cwd=folders[0])
-    assert done.code == 0, done.err
-    run(folders[1], *SCAN)
-    run(folders[1], *SCAN, "--force")
+def test_a_scan_of_the_twin_is_the_same_without_what_only_linux_has(folders: tuple[Path, Path]) -> None:
+    scan = (
+        *("scan", "--plan", "plan_nine_images", "--item", "pillars", "--calibration", "calibration.yaml"),
+        *("--rig", "rig_demo_quick", "--out", "scan"),
+    )
+    run(folders[1], *scan, "--report", "no")
+    both(folders, *scan, "--force")
+    both(folders, "export", "scan/cloud.ply", "--out", "cloud.csv")
     assert " MB" in run(folders[1], "session", "info", "scan")  # on disk
-    run(folders[1], "export", "scan/cloud.ply", "--out", "cloud.csv")
-    linux, windows = (content(folder / "scan") for folder in folders)
-    assert len(linux) > 9
-    assert linux == windows
+    assert same(*folders) > 20
+
+
+@pytest.mark.whole
+def test_real_drivers_on_emulators_see_the_same(folders: tuple[Path, Path]) -> None:
+    both(
+        folders, "scan", "--rig", "rig_emulated_quick", "--plan", "plan_nine_images", "--item", "pillars",
+        "--calibration", "calibration.yaml", "--out", "scan", "--report", "no",
+    )  # fmt: skip
+    assert same(*folders) > 20
+
+
+@pytest.mark.whole
+def test_a_rig_is_set_up_live(folders: tuple[Path, Path]) -> None:
+    done, out = both(folders, "live", "--rig", "rig_small.yaml", "--no-view", "--frames", "10", "--json")
+    answers = [{**answer, "rate_hz": 0} for answer in (done.json, json.loads(out))]
+    assert answers[0] == answers[1]
+    assert answers[0]["frames"] == 10
 
 
 @pytest.mark.whole
@@ -89,6 +130,12 @@ def test_signs_that_a_code_page_lacks_are_replaced(tmp_path: Path, words: list[s
     assert done.stdout.decode("cp437")
 
 
+@pytest.fixture(scope="module")
+def nothing_compiled(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A cache of numba that is empty at first."""
+    return str(tmp_path_factory.mktemp("numba"))
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     "words",
@@ -100,5 +147,8 @@ def test_signs_that_a_code_page_lacks_are_replaced(tmp_path: Path, words: list[s
     ],
     ids=lambda words: words[0],
 )
-def test_other_commands_run_without_it(tmp_path: Path, words: tuple[str, ...]) -> None:
-    run(tmp_path, *words)
+def test_other_commands_give_the_same(
+    folders: tuple[Path, Path], nothing_compiled: str, words: tuple[str, ...]
+) -> None:
+    both(folders, *words, NUMBA_CACHE_DIR=nothing_compiled)
+    same(*folders)

@@ -12,6 +12,7 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline.taking import take_poses
+from tests.cli.test_other_systems import both, same
 from tests.support.commands import NO_DISPLAY, Command
 from tests.support.recordings import Recording
 
@@ -88,6 +89,15 @@ def _finishes_what_was_killed_before_its_report(
     assert done.code == 0, done.err
     assert (out / "report.html").is_file()
     assert {name: (out / name).read_bytes() for name in kept} == kept
+
+
+@pytest.mark.nightly
+def test_it_is_the_same_without_what_only_linux_has(board: Path, tmp_path: Path) -> None:
+    twin, folders = small("rig_twin", tmp_path), (tmp_path / "linux", tmp_path / "windows")
+    for folder in folders:
+        folder.mkdir()
+    both(folders, "match", "--twin", twin, "--reference", board, "--out", "matched", "--epochs", 1)
+    assert same(*folders) >= 5
 
 
 def test_what_was_accepted_is_told_by_the_twin(fpplab: Command, board: Path, tmp_path: Path) -> None:
