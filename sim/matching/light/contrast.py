@@ -5,9 +5,10 @@ and lose a large share of their contrast to a blur that the board's hardly show.
 part the reflectance is not known, but offset A and amplitude B of its fringe are both proportional to it:
 `B/A` is that of the light.
 
-Light of the room adds to A alone. The twin has it as found on the board, which faces the camera; on a
+Light of the room adds to A alone. Its level is taken as found on the board, which faces the camera; on a
 face that is turned away by its normal n, lamps of any number give more or less by a linear function of n
-(Lambert's law), which is fitted to every scan and taken off.
+(Lambert's law), which is fitted to every scan and taken off. Where the twin's own lamp stands is not used: on
+a flat board it makes up for gloss and falloff, and its light on turned faces would then be taken for sharpness.
 """
 
 from collections.abc import Iterator, Sequence
@@ -76,6 +77,7 @@ class ContrastSample:
         # returns (S P,)
         black = twin.parameters.black_level * full_scale(self.settings.bits)
         short = replace(self.settings, exposure_s=SHORT * self.settings.exposure_s)
+        twin = twin.with_parameters(_with_even_room_light(twin.parameters))
         levels = twin.expected_part(self.item, self.T_camera_item, self.patterns, short, self.pixels)
         own = _fit_offsets_and_amplitudes(levels.astype(np.float64), self.sets)
         above, scale = np.maximum(own[0] - black, 1e-9), self._factors_of_equal_noise(reference)
@@ -180,6 +182,12 @@ def _samples(twin: Twin, scans: Sequence[BenchScan], stripes: float) -> Iterator
             part_surface_seen(twin, scan, pixels)[1],
             *_fit_offsets_and_amplitudes(levels, sets),
         )
+
+
+def _with_even_room_light(parameters: TwinParameters) -> TwinParameters:
+    """Give all surfaces the light that the room's lamp gives one which faces the camera."""
+    facing = parameters.lamp_irradiance * max(np.cos(np.radians(parameters.lamp_angle_deg)), 0.0)
+    return replace(parameters, ambient=parameters.ambient + facing, lamp_irradiance=0.0)
 
 
 def _remove_explained(values: Floats, columns: Floats) -> Floats:

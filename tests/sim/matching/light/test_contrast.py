@@ -114,6 +114,17 @@ def test_light_of_the_room_on_turned_faces_is_no_blur(bench: TwinParameters) -> 
     assert np.median(whole.relative_residual(REFERENCE, PlaneTwin(bench))) < -0.03
 
 
+def test_a_lamp_of_the_twin_counts_by_its_level_on_the_board_alone(bench: TwinParameters) -> None:
+    """Its direction stands for whatever else makes light on a flat board uneven."""
+    lit = replace(bench, ambient=0.03, lamp_irradiance=0.04, lamp_angle_deg=60.0)
+    (sample,) = contrasts(bench, scanned(bench))
+    for azimuth in (0.0, 90.0):
+        twin = PlaneTwin(replace(lit, lamp_azimuth_deg=azimuth))
+        np.testing.assert_array_equal(
+            sample.residual(REFERENCE, twin), sample.residual(REFERENCE, PlaneTwin(bench))
+        )
+
+
 def test_a_contrast_that_is_off_as_a_whole_counts_in_the_uncertainty(bench: TwinParameters) -> None:
     (sample,) = contrasts(bench, scanned(bench))
     uneven = replace(sample, amplitude=sample.amplitude * (1 + 0.02 * np.sin(sample.pixels[0] / 9.0)))
