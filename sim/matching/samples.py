@@ -55,10 +55,26 @@ class PixelSample:
         # returns (n P,)
         patterns = reference.shown(self.images)
         here = twin.expected_at(self.pose, patterns, reference.settings, self.pixels).astype(np.float64)
+        return np.where(self._is_valid(reference, here), self.levels - here, 0.0).ravel()
+
+    def laplacian(self, reference: Reference, twin: Twin) -> Floats:
+        """Compute the Laplacian of the twin's levels (n P,), to which a slight blur is proportional."""
+        patterns, (rows, columns) = reference.shown(self.images), self.pixels
+        width, height, _ = reference.sessions[self.pose].format
+        step = 1 if reference.mosaic is None else 2  # to the next pixel of the same colour
+
+        def at(down: int, right: int) -> Floats:
+            pixels = (rows + down).clip(0, height - 1), (columns + right).clip(0, width - 1)
+            return twin.expected_at(self.pose, patterns, reference.settings, pixels).astype(np.float64)
+
+        here = at(0, 0)
+        around = at(step, 0) + at(-step, 0) + at(0, step) + at(0, -step)
+        return np.where(self._is_valid(reference, here), around - 4.0 * here, 0.0).ravel()
+
+    def _is_valid(self, reference: Reference, here: Floats) -> NDArray[np.bool_]:
         # Where there is no light there is hardly any noise, and all levels are rounded to the same side.
         lit = self.levels > reference.darkest_level + 2.0
-        valid = lit & (self.levels < reference.full_scale) & (here < reference.full_scale)
-        return np.where(valid, self.levels - here, 0.0).ravel()
+        return lit & (self.levels < reference.full_scale) & (here < reference.full_scale)
 
 
 def tile_numbers(pixels: PixelIndices) -> NDArray[np.int64]:

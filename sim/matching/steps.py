@@ -105,14 +105,18 @@ class MatchingContext:
 
     def fit(self, *names: str) -> TwinParameters:
         """Fit parameters of light and sharpness to the samples; the darkest places limit the black level."""
-        fitted = light_fit.fit_light(self.reference, self.twin, names, self.samples)
+        # A print's edges are softer than the twin's; the camera's lens would be given their blur.
+        also = None
+        if not set(CAMERA_FOCUS).isdisjoint(names):
+            also = light_fit.softness(self.reference, self.twin, self.samples)
+        fitted = light_fit.fit_light(self.reference, self.twin, names, self.samples, also)
         if "black_level" not in names or fitted.black_level <= self._max_black:
             return fitted
         # Light that the parameters lack was taken for black: held, black leaves it to the ambient light, but
         # the bound of one parameter does not make the others better known.
         held = self.twin.with_parameters(replace(fitted, black_level=self._max_black))
         others = [name for name in names if name != "black_level"]
-        refitted = light_fit.fit_light(self.reference, held, others, self.samples)
+        refitted = light_fit.fit_light(self.reference, held, others, self.samples, also)
         return replace(refitted, sigma=fitted.sigma)
 
     def criterion(self, free: int) -> float:

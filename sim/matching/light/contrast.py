@@ -7,13 +7,13 @@ part the reflectance is not known, but offset A and amplitude B of its fringe ar
 
 Light of the room adds to A alone. Its level is taken as found on the board, which faces the camera; on a
 face that is turned away by its normal n, lamps of any number give more or less by a linear function of n
-(Lambert's law), which is fitted to every scan and taken off. Where the twin's own lamp stands is not used: on
-a flat board it makes up for gloss and falloff, and its light on turned faces would then be taken for sharpness.
+(Lambert's law), which is fitted to every scan and taken off. Where the twin's own lamp stands is not used:
+on a flat board it makes up for gloss and falloff, and on turned faces its light would be taken for sharpness.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
@@ -144,7 +144,8 @@ def with_common_error(
     """Add to standard uncertainties that a whole scan's contrast may be off, as that of its tiles is."""
     # A fit of one scan takes for sharpness what all its pixels have in common, whatever it comes from.
     parameters = twin.parameters
-    slopes = level_slopes(reference, twin, names, samples, light_residuals(reference, twin, samples))
+    residuals = partial(light_residuals, reference, samples=samples)
+    slopes = level_slopes(residuals, twin, names, residuals(twin))
     by_tile = np.concatenate([sample.relative_residual(reference, twin) for sample in samples])
     common = np.sqrt(np.mean(by_tile**2)) * np.concatenate([sample.level(reference) for sample in samples])
     scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-12)

@@ -5,7 +5,7 @@ determined: the level of the board's ground by `white` (or by `paper`, where whi
 the reflectance of its print, ambient light, and the camera's black level.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,9 @@ class LightFitLimits:
 
 LIMITS = LightFitLimits()
 
+Residuals = Callable[[Twin], Floats]
+"""Gives bench less twin at all samples, (N,)."""
+
 
 def light_residuals(reference: Reference, twin: Twin, samples: Sequence[LightSample]) -> Floats:
     return np.concatenate([sample.residual(reference, twin) for sample in samples])
@@ -54,29 +57,49 @@ def information_criterion(
 
 
 def fit_light(
-    reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[LightSample]
+    reference: Reference,
+    twin: Twin,
+    names: Sequence[str],
+    samples: Sequence[LightSample],
+    also: Floats | None = None,
 ) -> TwinParameters:
     """Fit the named parameters to the images; all others are held."""
+
+    # also (N,): what one parameter more would add to the levels, which the twin does not have; it is fitted
+    # with the others, so that they do not make up for it, and dropped.
     # Robust Gauss-Newton with at most `max_rounds` steps, each halved up to `max_halvings` times until it
     # lowers the cost.
+    def residuals(of: Twin) -> Floats:
+        whole = light_residuals(reference, of, samples)
+        return whole if also is None else whole - also * (dual @ whole)
+
     residual = light_residuals(reference, twin, samples)
+    if also is not None:
+        weighted = level_weights(residual)[0] * also
+        dual = weighted / max(float(weighted @ also), 1e-12)
+        residual = residuals(twin)
     sigma: dict[str, float] = {}
     for _ in range(LIMITS.max_rounds):
-        gained, twin, residual, sigma = _fit_one_step(reference, twin, names, samples, residual)
+        gained, twin, residual, sigma = _fit_one_step(residuals, twin, names, samples, residual)
         if gained < LIMITS.min_gain:
             break
     best = twin.parameters
     return replace(best, sigma={**best.sigma, **sigma})
 
 
+def softness(reference: Reference, twin: Twin, samples: Sequence[PixelSample]) -> Floats:
+    """Differentiate levels (N,) by a slight blur that is the same in all poses, as of a print's edges."""
+    return np.concatenate([sample.laplacian(reference, twin) for sample in samples])
+
+
 def _fit_one_step(
-    reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[LightSample], residual: Floats
+    residuals: Residuals, twin: Twin, names: Sequence[str], samples: Sequence[LightSample], residual: Floats
 ) -> tuple[float, Twin, Floats, dict[str, float]]:
     """Make one step: the relative gain, the twin after it, its residuals and standard uncertainties."""
     start = twin.parameters
     weight, _ = level_weights(residual)
     cost = float(np.sum(weight * residual**2))
-    matrix = level_slopes(reference, twin, names, samples, residual)
+    matrix = level_slopes(residuals, twin, names, residual)
     scale = np.sqrt(np.sum(weight[:, None] * matrix**2, axis=0))
     scale[scale == 0] = 1.0
     scaled = matrix / scale
@@ -87,7 +110,8 @@ def _fit_one_step(
     sigma = dict(
         zip(names, (_standard_errors(scaled, weight, residual, samples) / scale).tolist(), strict=True)
     )
-    for tried, after in _step_candidates(reference, twin, names, samples, step):
+    for tried in _step_candidates(twin, names, step):
+        after = residuals(tried)
         gain = 1.0 - float(np.sum(weight * after**2)) / max(cost, 1e-12)
         if gain > 0:
             return gain, tried, after, sigma
@@ -108,9 +132,7 @@ def _bounded_step(normal: Floats, gradient: Floats, lower: Floats, upper: Floats
     return np.asarray(lsq_linear(matrix, right_side, bounds, method="bvls").x)
 
 
-def level_slopes(
-    reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[LightSample], residual: Floats
-) -> Floats:
+def level_slopes(residuals: Residuals, twin: Twin, names: Sequence[str], residual: Floats) -> Floats:
     """Differentiate the twin's levels by parameters, by finite differences."""
     # residual (N,); returns (N, C)
     start, slopes = twin.parameters, []
@@ -119,7 +141,7 @@ def level_slopes(
         value = knob.read(start)
         by = knob.fit.step if value + knob.fit.step <= knob.fit.upper else -knob.fit.step
         moved = twin.with_parameters(knob.set(start, value + by))
-        slopes.append((residual - light_residuals(reference, moved, samples)) / by)
+        slopes.append((residual - residuals(moved)) / by)
     return np.stack(slopes, axis=1)
 
 
@@ -136,15 +158,11 @@ def _standard_errors(
     return np.sqrt(np.diag(multiway_covariance(inverse, scores, list(clusters))))
 
 
-def _step_candidates(
-    reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[LightSample], step: Floats
-) -> Iterator[tuple[Twin, Floats]]:
-    """Apply the step, and halves of it; yield the twin and its residuals."""
-    start = twin.parameters
+def _step_candidates(twin: Twin, names: Sequence[str], step: Floats) -> Iterator[Twin]:
+    """Apply the step, and halves of it."""
     for halving in range(LIMITS.max_halvings):
-        tried = start
+        tried = twin.parameters
         for name, by in zip(names, step.tolist(), strict=True):
             knob = ADJUSTABLE[name]
-            tried = knob.with_value(tried, knob.read(start) + by / 2**halving)
-        stepped = twin.with_parameters(tried)
-        yield stepped, light_residuals(reference, stepped, samples)
+            tried = knob.with_value(tried, knob.read(twin.parameters) + by / 2**halving)
+        yield twin.with_parameters(tried)

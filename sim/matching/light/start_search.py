@@ -7,6 +7,7 @@ irradiance, so that the best direction is found by least squares. `light_fit.fit
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,9 +41,10 @@ def search_lamp(
     """Search a grid of directions for a lamp of the room, to find a start for a fit of its place."""
     start = replace(twin.parameters, lamp_irradiance=0.0)
     dark = twin.with_parameters(start)
-    residual = light_residuals(reference, dark, samples)
+    residuals = partial(light_residuals, reference, samples=samples)
+    residual = residuals(dark)
     weight = np.sqrt(level_weights(residual)[0])
-    others = level_slopes(reference, dark, names, samples, residual)
+    others = level_slopes(residuals, dark, names, residual)
     best, lowest = start, np.inf
     lower = np.array([*np.full(len(names), -np.inf), 0.0])
     for angle in LAMPS.angles_deg:
@@ -51,7 +53,7 @@ def search_lamp(
                 start, lamp_angle_deg=angle, lamp_azimuth_deg=azimuth, lamp_distance_mm=LAMPS.distance_mm
             )
             lit = twin.with_parameters(replace(lamp, lamp_irradiance=LAMPS.irradiance))
-            own = (residual - light_residuals(reference, lit, samples)) / LAMPS.irradiance
+            own = (residual - residuals(lit)) / LAMPS.irradiance
             matrix = np.column_stack([others, own]) * weight[:, None]
             # On normal equations, which are few: least squares with a bound would copy all levels.
             scale = np.sqrt(np.sum(matrix**2, axis=0))
