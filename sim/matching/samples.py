@@ -60,7 +60,7 @@ class PixelSample:
     def laplacian(self, reference: Reference, twin: Twin) -> Floats:
         """Compute the Laplacian of the twin's levels (n P,), to which a slight blur is proportional."""
         patterns, (rows, columns) = reference.shown(self.images), self.pixels
-        width, height, _ = reference.sessions[self.pose].format
+        width, height = twin.parameters.calibration.camera.size
         step = 1 if reference.mosaic is None else 2  # to the next pixel of the same colour
 
         def at(down: int, right: int) -> Floats:

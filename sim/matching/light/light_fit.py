@@ -32,7 +32,7 @@ class LightFitLimits:
 
 LIMITS = LightFitLimits()
 
-Residuals = Callable[[Twin], Floats]
+TwinResiduals = Callable[[Twin], Floats]
 """Gives bench less twin at all samples, (N,)."""
 
 
@@ -93,7 +93,11 @@ def softness(reference: Reference, twin: Twin, samples: Sequence[PixelSample]) -
 
 
 def _fit_one_step(
-    residuals: Residuals, twin: Twin, names: Sequence[str], samples: Sequence[LightSample], residual: Floats
+    residuals: TwinResiduals,
+    twin: Twin,
+    names: Sequence[str],
+    samples: Sequence[LightSample],
+    residual: Floats,
 ) -> tuple[float, Twin, Floats, dict[str, float]]:
     """Make one step: the relative gain, the twin after it, its residuals and standard uncertainties."""
     start = twin.parameters
@@ -132,7 +136,7 @@ def _bounded_step(normal: Floats, gradient: Floats, lower: Floats, upper: Floats
     return np.asarray(lsq_linear(matrix, right_side, bounds, method="bvls").x)
 
 
-def level_slopes(residuals: Residuals, twin: Twin, names: Sequence[str], residual: Floats) -> Floats:
+def level_slopes(residuals: TwinResiduals, twin: Twin, names: Sequence[str], residual: Floats) -> Floats:
     """Differentiate the twin's levels by parameters, by finite differences."""
     # residual (N,); returns (N, C)
     start, slopes = twin.parameters, []

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import cast
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,10 +13,10 @@ from sim.matching.light import light_fit
 from sim.matching.loss import board_mask
 from sim.matching.reference import Reference
 from sim.matching.samples import sample_pixels
-from sim.matching.steps import MatchingContext
+from sim.matching.steps import CAMERA_FOCUS, MatchingContext
 from sim.parameters import TwinParameters
 from tests.sim.matching.test_matching import reference_of, truth
-from tests.support.plane_twin import CAMERA, SETTINGS, TARGET, PlaneTwin, Remembered
+from tests.support.plane_twin import CAMERA, SETTINGS, TARGET, PlaneTwin, Remembered, tilted
 
 __all__ = ["truth"]  # a fixture
 pytestmark = pytest.mark.nightly
@@ -44,9 +45,30 @@ def fitted_black(reference: Reference, start: TwinParameters) -> tuple[float, fl
     known = light_fit.fit_light(
         reference, at.with_parameters(again).twin, ["white", "ink", "ambient"], samples
     )
-    assert again.sigma["ink"] > 1.5 * known.sigma["ink"]  # black is not known, though it may be held
+    assert again.sigma["ink"] > 1.1 * known.sigma["ink"]  # black is not known, though it may be held
     at = at.with_parameters(again)
     return FULL * found.black_level, light_fit.mean_square_difference(reference, at.twin, samples)
+
+
+def softened(parameters: TwinParameters) -> Reference:
+    """Recordings that are blurred by the same everywhere, as by a print or a lens that the twin lacks."""
+    reference = reference_of(parameters)
+    for session in cast("Sequence[Remembered]", reference.sessions):
+        session.images[:] = [cv2.GaussianBlur(image, (0, 0), 0.4) for image in session.images]
+    return reference
+
+
+def test_blur_of_all_poses_is_not_taken_for_a_wider_aperture(truth: TwinParameters) -> None:
+    true = replace(truth, poses=tilted(6), camera_focus_mm=455.0, f_number=2.0)
+    reference = softened(true)
+    samples = sample_pixels(reference, true, range(6), reference.finest)
+    at = MatchingContext(reference, PlaneTwin(true), samples, "white")
+    found = at.fit("white", *CAMERA_FOCUS)
+    assert abs(found.f_number - true.f_number) < 3.0 * found.sigma["f_number"]
+    alone = light_fit.fit_light(reference, at.twin, ("white", *CAMERA_FOCUS), samples)
+    off = true.f_number - alone.f_number
+    assert off > 3.0 * alone.sigma["f_number"]
+    assert abs(found.f_number - true.f_number) < 0.5 * off
 
 
 def test_light_that_no_parameter_tells_is_not_taken_for_black(truth: TwinParameters) -> None:
