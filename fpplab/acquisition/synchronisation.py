@@ -15,12 +15,13 @@ response distorts the sinusoid, so that a second harmonic is tried too; noise is
 the correlation of neighbouring pixels.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Map, Mask
@@ -230,17 +231,10 @@ def _waves(plan: Plan, harmonics: int, own_offsets: bool) -> Floats:
     """Basis of what a pixel may see of every pattern: own harmonics for each set, and one common offset."""
     # With own offsets the room's light changed between the sets, which their phases do not see.
     offsets = [np.ones((each.images, 1)) for each in plan.sets]
-    waves = _block_diagonal([each.waves(harmonics) for each in plan.sets])
-    return np.hstack([_block_diagonal(offsets) if own_offsets else np.vstack(offsets), waves])
-
-
-def _block_diagonal(blocks: Sequence[Floats]) -> Floats:
-    """As SciPy does, whose linear algebra takes longer to load than a scan's check of its order."""
-    rows, columns = (np.cumsum([0, *(block.shape[k] for block in blocks)]) for k in (0, 1))
-    whole = np.zeros((rows[-1], columns[-1]))
-    for block, row, column in zip(blocks, rows, columns, strict=False):
-        whole[row : row + block.shape[0], column : column + block.shape[1]] = block
-    return whole
+    waves = scipy.linalg.block_diag(*(each.waves(harmonics) for each in plan.sets))
+    return np.concatenate(
+        [scipy.linalg.block_diag(*offsets) if own_offsets else np.vstack(offsets), waves], axis=1
+    )
 
 
 @dataclass(frozen=True, eq=False)

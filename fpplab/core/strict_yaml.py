@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,6 +74,17 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
+class _QuickLoader(_Loader):
+    """Takes what a text consists of from the C library; what that refuses, `_Loader` refuses in its words."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__("")
+        events = yaml.CSafeLoader(text)
+        vars(self).update(
+            {name: getattr(events, name) for name in ("check_event", "peek_event", "get_event")}
+        )
+
+
 def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
     keys: set[Any] = set()
     for key_node, _ in node.value:
@@ -121,4 +133,7 @@ def _refusal(problem: str, at: Any) -> yaml.MarkedYAMLError:
 def load_yaml(text: str) -> Any:
     if len(text) > LIMITS.max_characters:
         raise ValueError(f"it has {len(text)} characters, more than {LIMITS.max_characters}")
+    if "\t" not in text:  # which the C library takes in more places
+        with suppress(yaml.YAMLError, UnicodeError):
+            return yaml.load(text, _QuickLoader)
     return yaml.load(text, _Loader)
