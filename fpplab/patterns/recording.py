@@ -37,23 +37,13 @@ class KnownCoordinate:
 
 @dataclass(frozen=True, eq=False)
 class MergedLevels:
-    """What the levels of frames mean that were merged from several exposures (`fpplab.phase.exposures`).
+    """What the levels of frames mean that were merged from several exposures (`fpplab.phase.exposures`)."""
 
-    Attributes
-    ----------
-    headroom : float
-        Full scale of the merged frames, in full scales of the camera.
-    scales : tuple of ndarray of float32, (height, width) each
-        By set of the plan: levels of each pixel per level of the longest exposure. Frames of a pixel have
-        levels of the noise that the camera has at this level; the light of neighbouring pixels is compared
-        without the scale. Sets of the same exposures have the same.
-    noise : tuple of float
-        Variance of a merged level at 0, and its increase per level, in 8-bit grey levels.
-    """
-
-    headroom: float
+    headroom: float  # full scale of the merged frames, in full scales of the camera
+    # (height, width) by set of the plan: levels of each pixel per level of the longest exposure. Frames have
+    # the noise that the camera has at this level; light of neighbouring pixels is compared without the scale.
     scales: tuple[Map, ...]
-    noise: tuple[float, float]
+    noise: tuple[float, float]  # variance of a merged level at 0, and its increase per level, in grey levels
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,23 +124,8 @@ def _shown(sets: Sequence[PatternSet], coordinate: Floats, length: int, *, diamo
 
 
 def nearest_codes(table: CodeTable, apart_px: float) -> tuple[float, float, float]:
-    """Find the two coordinates at least so far apart whose codes are nearest to each other.
-
-    Parameters
-    ----------
-    table : CodeTable
-        Of the sets.
-    apart_px : float
-        Least distance in px of the coordinates.
-
-    Returns
-    -------
-    distance : float
-        Of the codes, in units of the light's range, after offset and modulation are fitted; infinite where
-        no coordinates are so far apart.
-    first, second : float
-        The coordinates in px.
-    """
+    """Find the two coordinates, at least so many px apart, whose codes are nearest to each other."""
+    # returns the distance, in units of the light's range after offset and modulation are fitted, and both px
     at = table.coordinate[table.middle]
     unit = table.candidates[:, : len(at)]
     scale = table.scale[table.middle]
@@ -158,24 +143,8 @@ def nearest_codes(table: CodeTable, apart_px: float) -> tuple[float, float, floa
 
 
 def code_uncertainty(table: CodeTable, noise: float, apart_px: float) -> tuple[float, float]:
-    """Compute what noise makes of a coordinate that codes tell, before anything is measured.
-
-    Parameters
-    ----------
-    table : CodeTable
-        Of the sets.
-    noise : float
-        Standard deviation of a grey level, as a share of the modulation.
-    apart_px : float
-        Distance in px from which on another coordinate is a wrong one.
-
-    Returns
-    -------
-    sigma_px : float
-        Standard uncertainty of a coordinate that is not wrong, RMS along the axis.
-    chance : float
-        Of a wrong one.
-    """
+    """Compute what noise, as a share of the modulation, makes of a coordinate that codes tell."""
+    # returns the standard uncertainty, RMS along the axis in px, and the chance to be wrong by `apart_px`
     sigma, index = 0.5 * noise, np.arange(len(table.coordinate))  # the light's range is twice the modulation
     unit = table.unit[:, : len(index)].astype(np.float64)
     total, square, reach = np.zeros(len(index)), np.zeros(len(index)), int(apart_px / GRID_PX)

@@ -117,28 +117,9 @@ def _distance(
 def intervals_of(
     coded: CodedAxis, periods: Sequence[float], length: int, known: PossibleCoordinates | None
 ) -> tuple[PossibleCoordinates, Mask, float]:
-    """Give the coordinates that codes leave possible, and where they leave too many.
-
-    Parameters
-    ----------
-    coded : CodedAxis
-        What the codes tell.
-    periods : sequence of float
-        Of the fringes and their beats in px, the shortest first.
-    length : int
-        Of the projector along the axis in px.
-    known : PossibleCoordinates or None
-        What the geometry tells.
-
-    Returns
-    -------
-    possible : PossibleCoordinates
-        Within both; an interval of no width where the codes leave too many.
-    unclear : ndarray of bool, (height, width)
-        Where that is.
-    period_px : float
-        The period with which unwrapping begins.
-    """
+    """Give the coordinates that codes leave possible, and where they leave too many."""
+    # periods of fringes and their beats in px, the shortest first; returns intervals, of no width where the
+    # codes leave too many, where that is, and the period in px with which unwrapping begins
     # Unwrapping begins with the shortest period that holds most intervals: beats are less certain.
     width, unambiguous = coded.upper - coded.lower, coded.gap >= CODES.hull_chi2
     usual = float(np.quantile(width[unambiguous], CODES.usual_width_share)) if unambiguous.any() else 0.0

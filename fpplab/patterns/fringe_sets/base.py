@@ -176,22 +176,7 @@ class PatternSet(Document):
         """
 
     def level(self, step: int, size: tuple[int, int], lattice: Lattice) -> Floats:
-        """Give one image as light, not quantised.
-
-        Parameters
-        ----------
-        step : int
-            Index of the image in the set, 0 … N-1.
-        size : tuple of int
-            (width, height) of the projector in mirrors.
-        lattice : Lattice
-            How the mirrors lie.
-
-        Returns
-        -------
-        ndarray of float64, (height, width)
-            Light in [0, 1].
-        """
+        """Give one image (height, width) as light in [0, 1], not quantised, on a projector of this size."""
         u, v = mirror_centres(size, lattice)
         axis = self.coded_axis or "x"
         return self.light(step, u if axis == "x" else v, axis_length(size, axis))
@@ -229,18 +214,7 @@ class PatternSet(Document):
         yield from ()
 
     def finest_stripes(self, length: int) -> float:
-        """Give how fine the set is: periods of its finest pattern across the projector.
-
-        Parameters
-        ----------
-        length : int
-            Of the projector along the coded axis in px.
-
-        Returns
-        -------
-        float
-            By default half of the pixels, which is the finest that there is.
-        """
+        """Give how fine the set is: periods of its finest pattern across a projector of this length in px."""
         return length / 2.0
 
     @property
@@ -249,18 +223,7 @@ class PatternSet(Document):
         """What tells the set from others in names of patterns and lists, letters and digits."""
 
     def fault(self, length: int) -> str | None:
-        """Say why a projector cannot show the set, or a plan not use it; None where it can.
-
-        Parameters
-        ----------
-        length : int
-            Of the projector along the coded axis in px.
-
-        Returns
-        -------
-        str or None
-            A field with its value, and what is allowed.
-        """
+        """Say why a projector of this length in px cannot show the set, or a plan not use it."""
         return None
 
 
