@@ -235,7 +235,6 @@ class CodeSet(PatternSet):
 
     @property
     def coded_axis(self) -> Axis | None:
-        """The axis of the set."""
         return self.axis
 
 
@@ -287,7 +286,6 @@ class PeriodicSet(CodeSet):
 
     @property
     def short_name(self) -> str:
-        """Its stripes."""
         return f"{self.stripes:g}"
 
     def fault(self, length: int) -> str | None:
@@ -342,7 +340,6 @@ class SteppedFringes(FringeSet):
 
     @property
     def images(self) -> int:
-        """How many images the set has."""
         return self.steps
 
     def phase_shifts(self) -> Floats:

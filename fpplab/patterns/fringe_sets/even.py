@@ -32,12 +32,10 @@ class Even(PatternSet):
 
     @property
     def images(self) -> int:
-        """How many images the set has."""
         return len(self.levels)
 
     @property
     def one_led(self) -> LedName | None:
-        """The LED that is named."""
         return self.led
 
     def light(self, step: int, coordinate: Floats, length: int) -> Floats:
@@ -50,5 +48,4 @@ class Even(PatternSet):
 
     @property
     def short_name(self) -> str:
-        """`even`."""
         return "even"

@@ -58,7 +58,6 @@ class Gray(CodeSet):
 
     @property
     def images(self) -> int:
-        """How many images the set has."""
         return self.bits * (1 if self.inverses == "none" else 2)
 
     def light(self, step: int, coordinate: Floats, length: int) -> Floats:
@@ -93,7 +92,6 @@ class Gray(CodeSet):
 
     @property
     def short_name(self) -> str:
-        """Its number of bits."""
         return f"gray{self.bits}"
 
     def fault(self, length: int) -> str | None:

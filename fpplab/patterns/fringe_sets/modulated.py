@@ -38,7 +38,6 @@ class Modulated(CodeSet):
 
     @property
     def images(self) -> int:
-        """How many images the set has."""
         return len(self.shifts_deg) * len(self.carrier_shifts_deg)
 
     def light(self, step: int, coordinate: Floats, length: int) -> Floats:
@@ -59,7 +58,6 @@ class Modulated(CodeSet):
 
     @property
     def short_name(self) -> str:
-        """Its stripes and those of the carrier."""
         return f"{self.stripes:g}of{self.carrier_stripes:g}"
 
     def fault(self, length: int) -> str | None:

@@ -62,7 +62,6 @@ class PatternFiles(CodeSet):
 
     @property
     def images(self) -> int:
-        """How many images the set has."""
         return len(self.levels)
 
     def light(self, step: int, coordinate: Floats, length: int) -> Floats:
@@ -73,7 +72,6 @@ class PatternFiles(CodeSet):
 
     @property
     def short_name(self) -> str:
-        """`files`."""
         return "files"
 
     def fault(self, length: int) -> str | None:

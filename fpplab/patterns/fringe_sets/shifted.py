@@ -24,7 +24,6 @@ class Shifted(PeriodicSet):
 
     @property
     def images(self) -> int:
-        """How many images the set has."""
         return len(self.shifts_deg)
 
     def phase_shifts(self) -> Floats:
