@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 
-import yaml
+from fpplab.core.strict_yaml import load_yaml
 
 LIST = Path(__file__).with_name("faults.yaml")
 Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
@@ -60,7 +60,7 @@ class ListedFault:
 def listed(root: Path) -> tuple[ListedFault, ...]:
     """All faults of the list."""
     faults: list[ListedFault] = []
-    for file, of_file in yaml.safe_load(LIST.read_text(encoding="utf-8")).items():
+    for file, of_file in load_yaml(LIST.read_text(encoding="utf-8")).items():
         tree = ast.parse((root / file).read_bytes())
         for fields in of_file:
             nodes = list(definitions(tree, fields["within"]))
