@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 from docs.generate.pages import DOCS, ROOT, PageError
@@ -19,13 +20,19 @@ def make_pictures() -> None:
     PageError
         One shows what does not happen.
     """
-    for page in sorted(DOCS.rglob("*.md")):
-        if pictures_of(page) and page.stem != "gallery":
-            print(f"{page.relative_to(DOCS)} …", flush=True)
-            run_once(page)
-    for script in GALLERY:
-        print(f"{script.relative_to(ROOT)} …", flush=True)
-        verdict_of(script)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # scripts are processes of their own
+        scripts = {pool.submit(verdict_of, script): script for script in GALLERY}
+        try:
+            for page in sorted(DOCS.rglob("*.md")):
+                if pictures_of(page) and page.stem != "gallery":
+                    run_once(page)
+                    print(page.relative_to(DOCS), flush=True)
+            for script in as_completed(scripts):
+                script.result()
+                print(scripts[script].relative_to(ROOT), flush=True)
+        except PageError:
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def build_site() -> Path:

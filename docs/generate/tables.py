@@ -43,10 +43,14 @@ def causes_page() -> str:
         Markdown.
     """
     rows = [
-        (f"`{one.key}`", one.meaning, one.remedy, one.measured, one.limit, one.seen_in)
+        (
+            f"`{one.key}`",
+            f"{one.meaning} *Remedy:* {one.remedy}.",
+            f"{one.measured}. *Limit:* {one.limit}. *Seen in:* {one.seen_in}.",
+        )
         for one in known_causes().values()
     ]
-    titles = ("cause", "meaning", "remedy", "what is measured", "limit", "seen in")
+    titles = ("cause", "meaning", "what is measured")
     return (
         "# All causes\n\nWhat findings name, in alphabetical order. [Verdicts](../verdicts.md) explains how "
         "a verdict follows from them; the [gallery](../gallery.md) shows what many of them look like.\n\n"

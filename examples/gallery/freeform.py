@@ -1,13 +1,24 @@
-"""A freeform part: fringes bend over it, and the errors are as large as stated."""
+"""A freeform part: fringes bend over it, and the errors are as large as stated.
 
+Written to a name that ends in `.webp`, the picture shows the scan while it runs.
+"""
+
+import io
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
-from bench import measured, plt
+from bench import measured, plan_of, plt
 from matplotlib.colors import LightSource
+from numpy.typing import NDArray
+from PIL import Image
+
+from fpplab import Calibration, Cloud, Session, decode
+from fpplab.reconstruction.points import triangulate
 
 X_MM, Y_MM, DEPTH_MM = 55.0, 40.0, 455.0
 
@@ -35,29 +46,84 @@ def freeform() -> trimesh.Trimesh:
     return block
 
 
+def heights(cloud: Cloud, top_mm: float) -> NDArray[np.float64]:
+    """Height of each pixel's point below `top_mm`, in mm; NaN where there is none."""
+    return top_mm - cloud.map_of("z")
+
+
+def shaded(height_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A picture of a surface in the light of a lamp; white where there are no points."""
+    lit = LightSource(315, 40).shade(
+        np.nan_to_num(height_mm), plt.get_cmap("viridis"), None, "soft", 0, 25, dx=0.25, dy=0.25
+    )
+    lit[np.isnan(height_mm)] = 1.0
+    return lit
+
+
+def still(path: str) -> None:
+    """A camera image and the surface, above the errors."""
+    figure = plt.figure(figsize=(8.6, 7.6), layout="constrained")
+    left, middle, right = (figure.add_subplot(place) for place in (221, 222, 212))
+    left.imshow(scan.frames[-1], cmap="gray", vmin=0, vmax=255)
+    left.set_title("camera image")
+    middle.imshow(shaded(surface))
+    middle.set_title(f"surface, {np.nanmax(surface):.0f} mm high")
+    shown = right.imshow(scan.error_um, cmap="RdBu_r", vmin=-30, vmax=30)
+    figure.colorbar(shown, ax=right, label="µm above the surface")
+    right.set_title(f"error, {100 * inside:.0f} % in their 95 % interval")
+    for axis in (left, middle, right):
+        axis.axis("off")
+        axis.set(xlim=scan.columns, ylim=scan.rows[::-1])
+    figure.savefig(path, dpi=120)
+
+
+def animated(path: str) -> None:
+    """Frame by frame, with the surface by the fringe sets that are complete; the result comes first."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.1), layout="constrained")
+    pictures, durations_ms = [], []
+
+    def draw(frame: Any, image: Any, titles: tuple[str, str], duration_ms: int) -> None:
+        for axis, shown, title in zip((left, right), (frame, image), titles, strict=True):
+            axis.clear()
+            axis.imshow(shown, cmap="gray", vmin=0, vmax=255)
+            axis.set_title(title)
+            axis.axis("off")
+            axis.set(xlim=scan.columns, ylim=scan.rows[::-1])
+        figure.savefig(file := io.BytesIO(), dpi=100)
+        pictures.append(Image.open(file).convert("RGB"))
+        durations_ms.append(duration_ms)
+
+    last = scan.frames[-1]
+    verdict = f"{scan.diagnosis.verdict}: {len(scan.cloud.points):,} points"
+    draw(last, shaded(surface), ("18 images", verdict), 2500)
+    image = np.ones((*surface.shape, 3))
+    for number, fringes in enumerate(recording.plan.fringes):
+        for step in range(fringes.steps):
+            frame = scan.frames[number * fringes.steps + step]
+            titles = (
+                f"fringe set {number + 1}, image {step + 1} of 6",
+                "surface so far" if number else "no surface yet",
+            )
+            draw(frame, image, titles, 160)
+        if number < 2:
+            done = replace(
+                recording,
+                plan=plan_of(tuple(s.stripes for s in recording.plan.fringes[: number + 1])),
+                frames=recording.frames[: (number + 1) * fringes.steps],
+            )
+            image = shaded(heights(triangulate(decode(done), calibration), top_mm))
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=durations_ms, quality=80)
+
+
 with tempfile.TemporaryDirectory() as place:
     scan = measured(Path(place), item="freeform", shape=freeform(), verified=True)
+    recording = Session.open(Path(place) / "scan").recording()
+    calibration = Calibration.load(Path(place) / "scan" / "calibration.yaml")
 stated = np.full(scan.error_um.shape, np.nan)
 column, row = scan.cloud.pixels.T
 stated[row, column] = 1e3 * np.hypot(scan.cloud.sigma_noise_mm, scan.cloud.sigma_phase_error_mm)
 inside = np.mean(np.abs(scan.error_um / stated)[np.isfinite(stated)] < 1.96)
-
-surface = np.zeros(scan.error_um.shape)
-surface[row, column] = scan.cloud.points[:, 2].max() - scan.cloud.points[:, 2]
-shaded = LightSource(315, 40).shade(surface, plt.get_cmap("viridis"), None, "soft", dx=0.25, dy=0.25)
-shaded[np.isnan(scan.error_um)] = 1.0
-
-figure = plt.figure(figsize=(8.6, 7.6), layout="constrained")
-left, middle, right = (figure.add_subplot(place) for place in (221, 222, 212))
-left.imshow(scan.frames[-1], cmap="gray", vmin=0, vmax=255)
-left.set_title("camera image")
-middle.imshow(shaded)
-middle.set_title(f"surface, {surface.max():.0f} mm high")
-shown = right.imshow(scan.error_um, cmap="RdBu_r", vmin=-30, vmax=30)
-figure.colorbar(shown, ax=right, label="µm")
-right.set_title(f"error, {100 * inside:.0f} % in their 95 % interval")
-for axis in (left, middle, right):
-    axis.axis("off")
-    axis.set(xlim=scan.columns, ylim=scan.rows[::-1])
-figure.savefig(sys.argv[1], dpi=120)
+top_mm = scan.cloud.points[:, 2].max()
+surface = heights(scan.cloud, top_mm)
+(animated if sys.argv[1].endswith(".webp") else still)(sys.argv[1])
 print(scan.diagnosis.sentence)

@@ -10,7 +10,7 @@ import pytest
 import fpplab
 from docs.generate.pages import DOCS, ROOT
 from docs.generate.reference import FILES, api_page, commands_page, every_command, files_page
-from docs.generate.running import run_once
+from docs.generate.running import GALLERY, run_once
 from docs.generate.site import build_site, make_pictures
 from tests.support.browser import Browser, chromium, number_of_colours, pixels_of
 
@@ -109,6 +109,23 @@ def test_pages_link_to_what_there_is(site: Path) -> None:
             if not target.exists() or (anchor and target in anchors and anchor not in anchors[target]):
                 missing.append(f"{path.relative_to(site)}: {link}")
     assert missing == []
+
+
+PHONE_COLUMN_PX = 358
+"""Width of a picture in a window of 390 px."""
+DRAWING = [DOCS / "tour.md", *(one for one in GALLERY if "figsize" in one.read_text(encoding="utf-8"))]
+BENCH = ROOT / "examples" / "gallery" / "bench.py"
+
+
+@pytest.mark.parametrize("source", [*DRAWING, BENCH], ids=lambda source: source.stem)
+def test_text_in_pictures_is_legible_on_a_phone(source: Path) -> None:
+    """At least 10 px high, as the page shows it."""
+    text = source.read_text(encoding="utf-8")
+    settings = text if source.suffix == ".md" else BENCH.read_text(encoding="utf-8")
+    (points,) = re.findall(r'"font\.size": ([\d.]+)', settings)
+    assert "fontsize" not in text
+    for inches in re.findall(r"figsize=\(([\d.]+),", text):
+        assert float(points) / 72 / float(inches) * PHONE_COLUMN_PX >= 10, f"{inches} inches"
 
 
 def test_every_public_name_is_in_the_reference_and_has_a_docstring() -> None:

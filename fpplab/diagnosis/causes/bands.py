@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
-from fpplab.core.drawing import HALF, colour_bar, single_axes
+from fpplab.core.drawing import ERROR_COLOURS, HALF, colour_bar, single_axes
 from fpplab.diagnosis.brightness import harmonic_waves
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
@@ -124,7 +124,7 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
         return None
     figure, axes = single_axes(HALF, 3.0)
     limit = max(float(np.percentile(np.abs(100 * gains), 99)), 1.0)
-    shown = axes.imshow(100.0 * gains.T, aspect="auto", cmap="RdBu", vmin=-limit, vmax=limit)
+    shown = axes.imshow(100.0 * gains.T, aspect="auto", cmap=ERROR_COLOURS, vmin=-limit, vmax=limit)
     colour_bar(figure, axes, shown, "brightness relative to the fit, in %")
     axes.set(xlabel="frame", ylabel="lit row of the sample")
     return figure

@@ -11,6 +11,7 @@ import scipy
 from fpplab.calibration.model import Calibration
 from fpplab.core.config import Positive
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Mask, axis_length
+from fpplab.core.drawing import ERROR_COLOURS
 from fpplab.core.errors import ConfigError
 from fpplab.core.robust import robust_spread
 from fpplab.diagnosis.evidence import Evidence, Needs
@@ -275,7 +276,9 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
         return None
     worst = max(deviations, key=lambda values: float(np.nanstd(values)))
     limit = max(float(np.nanpercentile(np.abs(worst), 98)), 0.05)
-    return draw_sample_map(worst, sample, "RdBu", (-limit, limit), "phase of wide − fine fringes in rad")
+    return draw_sample_map(
+        worst, sample, ERROR_COLOURS, (-limit, limit), "phase of wide − fine fringes in rad"
+    )
 
 
 INTERREFLECTION = FaultCause(

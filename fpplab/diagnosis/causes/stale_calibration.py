@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fpplab.core.config import Positive
-from fpplab.core.drawing import colour_bar, draw_map, map_axes
+from fpplab.core.drawing import ERROR_COLOURS, colour_bar, draw_map, map_axes
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import DiagnosisLimits, LimitsSection
@@ -82,7 +82,7 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
     range_px = max(float(np.nanpercentile(np.abs(values), 98)), 2.0 * limit)
     figure, axes = map_axes(values.shape)
     label = f"distance in projector px (limit {limit:.2g})"
-    colour_bar(figure, axes, draw_map(axes, values, "RdBu", (-range_px, range_px)), label)
+    colour_bar(figure, axes, draw_map(axes, values, ERROR_COLOURS, (-range_px, range_px)), label)
     return figure
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
-from fpplab.core.drawing import ACCENT, ALARM, colour_bar, side_by_side
+from fpplab.core.drawing import ACCENT, ALARM, ERROR_COLOURS, colour_bar, side_by_side
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Figure, Finding, Picture
 from fpplab.diagnosis.limits import LimitsSection
@@ -60,7 +60,7 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
     change = (sample.offsets_in_tiles[worst + 1] - sample.offsets_in_tiles[0])[0]
     figure, (left, right) = side_by_side(3.0, (1.0, 1.4))
     max_change = max(float(np.abs(change).max()), 1.0)
-    shown = left.imshow(change, cmap="RdBu", vmin=-max_change, vmax=max_change)
+    shown = left.imshow(change, cmap=ERROR_COLOURS, vmin=-max_change, vmax=max_change)
     colour_bar(figure, left, shown, f"set {worst + 2} − set 1, grey levels")
     left.set(xlabel="px", ylabel="px")
     sets = np.arange(2, len(moved) + 2)
