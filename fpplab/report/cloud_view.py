@@ -23,6 +23,7 @@ SAMPLE_POINTS = 40_000  # about as many tell where the points lie (chosen)
 TILT_DEG, TURN_DEG = 50.0, 25.0
 """The view at first: tilted away from the camera's own by this, and turned about the camera's axis."""
 FIELD_DEG = 30.0  # vertical field of view (chosen)
+FILLED = 0.92  # share of the still picture and of the canvas that the points take at first (chosen)
 STILL = (960, 600)  # width and height of the still picture in px
 STEPS = 65535  # steps of a quantised value, those of 16 bits; 0 is a value that is not known
 GREY = 0.6  # colour of points without a value: red, green and blue as a share of full brightness (chosen)
@@ -148,9 +149,25 @@ def _centre_and_radius(points: NDArray[np.float32]) -> tuple[Floats, float]:
     return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
 
 
-def _distance(radius: float) -> float:
-    """Of the eye at first: four fifths of that from which the whole sphere around the points is in view."""
-    return 0.8 * radius / float(np.sin(np.radians(FIELD_DEG) / 2))
+def _outline(points: NDArray[np.float32], centre: Floats) -> Floats:
+    """Points that are outermost in many directions, about the centre: x right, y up, z towards the eye."""
+    away = ((points - centre) * [1, -1, -1]).astype(np.float32)
+    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 5, dtype=np.float32)] * 3), axis=-1).reshape(-1, 3)
+    return np.asarray(away[np.unique(np.argmax(away @ grid.T, axis=0))], np.float64)
+
+
+def _frame(outline: Floats, radius: float) -> tuple[Floats, float]:
+    """Pan and distance at which points nearly fill the still picture, as the page's script finds them."""
+    turned = outline @ _first_turn().T
+    half = np.tan(np.radians(FIELD_DEG) / 2)
+    reach = FILLED * half * np.array([STILL[0] / STILL[1], 1.0])
+    pan, distance = np.zeros(2), 4 * radius
+    for _ in range(30):
+        seen = (turned[:, :2] + pan) / (distance - turned[:, 2:])
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        pan = pan - distance * (low + high) / 2
+        distance = max(distance * float(np.max((high - low) / 2 / reach)), 1.2 * radius)
+    return pan, distance
 
 
 def _described(
@@ -164,7 +181,8 @@ def _described(
             "size": (high - low).tolist(),
             "centre": centre.tolist(),
             "radius": radius,
-            "distance": _distance(radius),
+            "outline": _outline(cloud.points, centre).round(4).tolist(),
+            "filled": FILLED,
             "spacing": spacing,
             "tilt": np.radians(TILT_DEG),
             "turn": np.radians(TURN_DEG),
@@ -219,10 +237,11 @@ def _point_colours(
     turned = _towards_eye(cloud.points - centre)
     width, height = STILL
     focal = 0.5 * height / np.tan(np.radians(FIELD_DEG) / 2)
-    depth = _distance(radius) - turned[:, 2]
+    pan, distance = _frame(_outline(cloud.points, centre), radius)
+    depth = distance - turned[:, 2]
     side = int(np.clip(np.ceil(1.6 * focal * spacing / np.median(depth)), 1, 12))
     offsets = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) - side // 2
-    place = np.rint(np.stack([turned[:, 0], -turned[:, 1]], axis=1) * (focal / depth)[:, None]).astype(int)
+    place = np.rint(((turned[:, :2] + pan) * [1, -1]) * (focal / depth)[:, None]).astype(int)
     order = np.argsort(-depth, kind="stable")
     x, y = ((place[order] + [width // 2, height // 2])[:, None] + offsets).reshape(-1, 2).T
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -246,7 +265,11 @@ def _point_shades(cloud: Cloud, quantity: CloudQuantity) -> Floats:
 
 def _towards_eye(vectors: NDArray[Any]) -> Floats:
     """Turn vectors of the camera's frame as the first view does: x right, y up, z towards the eye."""
+    return np.asarray((np.asarray(vectors, np.float64) * [1, -1, -1]) @ _first_turn().T)
+
+
+def _first_turn() -> Floats:
     tilt, turn = np.radians(TILT_DEG), np.radians(TURN_DEG)
     about_z = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     about_x = np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]])
-    return np.asarray((np.asarray(vectors, np.float64) * [1, -1, -1]) @ (about_x @ about_z).T)
+    return np.asarray(about_x @ about_z)

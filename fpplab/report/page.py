@@ -14,6 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from fpplab.core.files import write_text
 from fpplab.core.version import __version__
 from fpplab.report.parts import PageVerdict, ReportSection, ReportTable, data_link
+from fpplab.report.wording import grouped
 from fpplab.results.provenance import LABELS, NOT_RECORDED, Provenance
 
 IN_THE_HEAD = ("rig", "item", "plan", "taken", "calibration", "calibration_age")
@@ -90,13 +91,15 @@ def _begins_with(path: Path, mark: bytes) -> bool:
 
 def _environment() -> Environment:
     loader = PackageLoader("fpplab.report", "templates")
-    return Environment(
+    environment = Environment(
         loader=loader,
         autoescape=lambda name: name is None or not name.endswith(".js"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["grouped"] = grouped
+    return environment
 
 
 def _shared_head_facts(sources: Mapping[str, Provenance]) -> dict[str, str]:

@@ -131,9 +131,7 @@ def _describe_scan(scan: ScanSection) -> str:
         text += (
             "moved the points by {:.3g} µm RMS, which was corrected."
             if edges["corrected"]
-            else (
-                "may move the points by {:.3g} µm RMS: too few show how blurred the image is to correct it."
-            )
+            else ("may move the points by {:.3g} µm RMS: too few are sharp enough to correct for the blur.")
         )
         text = text.format(edges["displacement_um"])
     if scan.depth is not None:

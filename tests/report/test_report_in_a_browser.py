@@ -38,7 +38,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     good = replace(
         scan("steps", truth=False),
         decoded=None,
-        diagnosis=Diagnosis(Verdict.GOOD, "1 point of 1", ()),
+        diagnosis=Diagnosis(Verdict.GOOD, "100800 points of 101104", ()),
         provenance=source,
     )
     write_report(folder / "two.html", "Two", scans=[replace(good, name="pillars"), good])
@@ -129,6 +129,28 @@ def test_the_cloud_is_drawn_turned_and_coloured(
     assert painted(canvas(browser)) > 1.2 * painted(turned)
     browser.run("[...document.querySelectorAll('button')].find(b => b.textContent === 'Reset view').click()")
     assert np.array_equal(canvas(browser), height)
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+def test_the_first_view_is_framed_on_the_points(
+    browser: Browser, pages: dict[str, Path], tmp_path: Path, width: int
+) -> None:
+    """They fill nine tenths of the canvas in one direction, in its middle."""
+    browser.open(pages["two"], width, 844)
+    wait_for_view(browser)
+    browser.screenshot(tmp_path / "framed.png")
+    shown = canvas(browser)
+    seen = np.abs(shown.astype(int) - shown[0, 0]).max(axis=2) > 8
+    filled = []
+    for axis in (0, 1):
+        places = np.flatnonzero(seen.any(axis=1 - axis)) / (seen.shape[axis] - 1)
+        assert places[0] + places[-1] == pytest.approx(1, abs=0.06)
+        filled.append(places[-1] - places[0])
+    assert 0.85 < max(filled) < 1
+
+
+def test_counts_of_a_verdict_have_separators(pages: dict[str, Path]) -> None:
+    assert "100\u202f800 points of 101\u202f104" in pages["two"].read_text(encoding="utf-8")
 
 
 def test_a_phone_scrolls_down_only(browser: Browser, pages: dict[str, Path], tmp_path: Path) -> None:

@@ -139,7 +139,24 @@
     }
 
     reset(tilt = this.about.tilt, turn = this.about.turn) {
-      Object.assign(this, {tilt, turn, zoom: 1, pan: [0, 0]});
+      Object.assign(this, {tilt, turn, zoom: 1, pan: [0, 0], distance: null});
+    }
+
+    // Moves the eye so that the outermost points nearly fill the canvas, in its middle; lengths approach their limits.
+    frame(rotation, reach) {
+      const [a, b, c, d, e, f, g, h, i] = rotation;
+      const turned = this.about.outline.map(([x, y, z]) => [a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z]);
+      this.distance = 4 * this.about.radius;
+      for (let step = 0; step < 30; step++) {
+        let filled = 0;
+        for (const k of [0, 1]) {
+          const seen = turned.map(point => (point[k] + this.pan[k]) / (this.distance - point[2]));
+          const [least, most] = [Math.min(...seen), Math.max(...seen)];
+          this.pan[k] -= this.distance * (least + most) / 2;
+          filled = Math.max(filled, (most - least) / 2 / (this.about.filled * reach[k]));
+        }
+        this.distance = Math.max(this.distance * filled, 1.2 * this.about.radius);
+      }
     }
 
     draw() {
@@ -147,14 +164,16 @@
       const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(side => Math.max(1, Math.round(side * ratio)));
       if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, {width, height});
       const half = Math.tan(about.field / 2), aspect = width / height;
-      const distance = about.distance / this.zoom / Math.min(1, 0.8 * aspect);
       const [ct, st, cz, sz] = [Math.cos(this.tilt), Math.sin(this.tilt), Math.cos(this.turn), Math.sin(this.turn)];
+      const rotation = [cz, ct * sz, -st * sz, -sz, ct * cz, -st * cz, 0, st, ct];
+      if (this.distance === null) this.frame(rotation, [half * aspect, half]);
+      const distance = this.distance / this.zoom;
       gl.viewport(0, 0, width, height);
       const ground = getComputedStyle(document.documentElement).getPropertyValue("--ground").trim();
       const channel = k => parseInt(ground.slice(1 + 2 * k, 3 + 2 * k), 16) / 255;
       gl.clearColor(channel(0), channel(1), channel(2), 1);
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-      gl.uniformMatrix3fv(this.place("rotation"), false, [cz, ct * sz, -st * sz, -sz, ct * cz, -st * cz, 0, st, ct]);
+      gl.uniformMatrix3fv(this.place("rotation"), false, rotation);
       gl.uniform2f(this.place("scale"), 1 / (half * aspect), 1 / half);
       gl.uniform2fv(this.place("pan"), this.pan);
       gl.uniform1f(this.place("distance"), distance);
@@ -166,7 +185,7 @@
     }
 
     move(dx, dy) {
-      const mm = 2 * Math.tan(this.about.field / 2) * this.about.distance / this.zoom / this.canvas.clientHeight;
+      const mm = 2 * Math.tan(this.about.field / 2) * this.distance / this.zoom / this.canvas.clientHeight;
       this.pan = [this.pan[0] + mm * dx, this.pan[1] - mm * dy];
     }
 
