@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 
 
@@ -13,7 +14,8 @@ def ask_apart(answer: Callable[..., None], *arguments: Any, timeout_s: float) ->
     context = multiprocessing.get_context("spawn")  # libraries and threads do not survive a fork
     mine, theirs = context.Pipe(duplex=False)
     process = context.Process(target=answer, args=(theirs, *arguments), name=answer.__name__, daemon=True)
-    process.start()
+    with main_left_out():
+        process.start()
     theirs.close()
     try:
         return mine.recv() if mine.poll(timeout_s) else None
@@ -26,6 +28,17 @@ def ask_apart(answer: Callable[..., None], *arguments: Any, timeout_s: float) ->
             process.kill()
             process.join()
         process.close()
+
+
+@contextmanager
+def main_left_out() -> Iterator[None]:
+    """Start processes that do not run the user's script again, which need not ask for its own name."""
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.apart import ask_apart
+from drivers.apart import ask_apart, main_left_out
 from drivers.display import screen
 from drivers.display.screen import DisplayInfo, OpenedScreen, ShowFrame
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError
@@ -63,7 +63,8 @@ class SdlDisplay:
                 name="display",
                 daemon=True,
             )
-            self._process.start()
+            with main_left_out():
+                self._process.start()
         finally:
             theirs.close()  # so that the pipe ends when the process does
         opened: OpenedScreen = self._wait_for_answer("open", START_S)

@@ -5,10 +5,12 @@ import subprocess
 import sys
 import time
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 import pytest
 
 from drivers.apart import ask_apart
+from tests.support.commands import ROOT
 
 
 def doubled(connection: Connection, word: str) -> None:
@@ -25,6 +27,20 @@ def blocking(connection: Connection) -> None:
 
 def test_an_answer_comes_back() -> None:
     assert ask_apart(doubled, "ab", timeout_s=60.0) == "abab"
+
+
+def test_a_user_s_script_is_not_run_again(tmp_path: Path) -> None:
+    """It need not be `if __name__ == "__main__"`."""
+    (tmp_path / "script.py").write_text(
+        "from multiprocessing.connection import Connection\nfrom drivers.apart import ask_apart\n"
+        "print(ask_apart(Connection.send, 5, timeout_s=60))\n"
+    )
+    command, environment = (
+        [sys.executable, str(tmp_path / "script.py")],
+        {**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("5\n", "")
 
 
 @pytest.mark.whole
