@@ -93,6 +93,13 @@ def test_a_material_is_added_by_one_file(tmp_path: Path) -> None:
     in_a_copy(tmp_path, "sim", "world/materials/chalk.py", CHALK, ["-c", ASK])
 
 
+@pytest.mark.parametrize("row", rows("### Walk it as a newcomer"), ids=lambda row: row[0])
+def test_what_a_newcomer_reads_exists(row: list[str]) -> None:
+    pages = re.findall(r"`(docs/[\w/-]+\.md)`", row[1])
+    assert len(pages) == 2
+    assert all((ROOT / page).is_file() for page in pages)
+
+
 @pytest.mark.parametrize("row", PROMISES, ids=lambda row: row["promise"][:40])
 def test_what_shows_a_promise_exists(row: dict[str, str]) -> None:
     pages = re.findall(r"[\w/-]+\.md", row["where"])

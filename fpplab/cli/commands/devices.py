@@ -26,7 +26,10 @@ def devices_command(json: Json = False) -> None:
                 "`fpplab rig new --out rig.yaml` writes a rig file with those that you choose."
             )
         else:
-            console.log_status("No camera, projector or stage is connected; see their power and cables.")
+            console.log_status(
+                "No camera, projector or stage is connected; check power and cables. "
+                "Without instruments use `--rig rig_demo_quick`, which is simulated."
+            )
         for sentence in discovered.missing:
             console.log_status(f"missing: {sentence}")
 
