@@ -4,8 +4,9 @@ A link of two neighbouring pixels is sound where the phase goes on as the pixels
 from the mean of both slopes by no more than noise, and half of the difference of the slopes, allow. Sums of
 three links and means along an edge are examined too, since blur spreads a step over pixels and noise hides a
 small one. Sound links alone do not make an island: a step that changes along its edge passes through whole
-periods, where it looks like none. So islands begin away from steps, wider than such a gap is, and grow back.
-Two of them are joined again where most of their common border is sound and says the same.
+periods, where it looks like none or, of a tilted part, like a crease. So islands begin away from steps and
+creases, wider than such a gap is, and grow back. Two of them are joined again where most of their common
+border is sound and says the same, as that of two faces of a body does.
 
 A step of a whole number of periods along all of an edge is invisible in one set of fringes.
 """
@@ -42,9 +43,9 @@ class Islands:
 def find_islands(phase: Floats, sigma_rad: Floats, usable: Mask, window_px: float = 0.0) -> Islands:
     """Divide a wrapped phase into islands and unwrap it in each."""
     # maps (height, width); window_px is the standard deviation of the window that made the phase
-    right = sound_links(phase, sigma_rad, usable)
-    down = np.ascontiguousarray(sound_links(phase.T, sigma_rad.T, usable.T).T)
-    whole = _uncut(right, down, usable)
+    right, even = sound_links(phase, sigma_rad, usable)
+    down, even_down = (np.ascontiguousarray(m.T) for m in sound_links(phase.T, sigma_rad.T, usable.T))
+    whole = _uncut(even, even_down, usable)
     label, unwrapped = np.zeros(phase.shape, np.int32), phase.astype(np.float64)
     contradictory = np.zeros(phase.shape, np.bool_)
     near = _eroded(usable, ISLANDS.hole_px)
@@ -59,7 +60,7 @@ def find_islands(phase: Floats, sigma_rad: Floats, usable: Mask, window_px: floa
         contradictory |= np.isin(label, bad)
     label[contradictory] = 0
     _join(unwrapped, phase, right, down, label, count)
-    label[_meeting(right, down, label) | _beside_steps(right, down, label)] = 0
+    label[_meeting(right, down, label) | _beside_steps(right, down, label, usable)] = 0
     sizes = np.bincount(label.ravel())
     kept = sizes >= ISLANDS.min_pixels
     kept[0] = False
@@ -95,15 +96,17 @@ def _bends(phase: Floats, usable: Mask, gap: int) -> tuple[Floats, Floats, Mask,
     return bend, differ, some, both
 
 
-def sound_links(phase: Floats, sigma_rad: Floats, usable: Mask) -> Mask:
-    """Tell which pixels are linked to the next in their row, (height, width)."""
+def sound_links(phase: Floats, sigma_rad: Floats, usable: Mask) -> tuple[Mask, Mask]:
+    """Tell which pixels are linked to the next in their row, and which without a crease; (height, width)."""
     sound = np.zeros(phase.shape, np.bool_)
     sound[:, :-1] = usable[:, 1:] & usable[:, :-1]
+    even = sound.copy()
     variance = np.square(sigma_rad)[:, :-1] + np.square(sigma_rad)[:, 1:]
     for gap, rows in ISLANDS.tests:
         bend, differ, some, both = _bends(phase, usable, gap)
         if gap == rows == 1:
             sound[:, :-1] &= some
+            even[:, :-1] &= some
             both = some
         (excess, spread, allowed), count = _means_along((bend, variance, differ), both, rows)
         spread = np.sqrt(spread / count)
@@ -111,9 +114,10 @@ def sound_links(phase: Floats, sigma_rad: Floats, usable: Mask) -> Mask:
         if finite.any():
             # A surface that is rough beside the noise of pixels scatters by more.
             rough = max(1.0, robust_spread(excess[finite] / spread[finite]))
-            limit = ISLANDS.sigmas * rough * spread + ISLANDS.slope_share * gap * allowed
-            sound[:, :-1] &= ~both | (np.abs(excess) <= limit)
-    return sound
+            noise = ISLANDS.sigmas * rough * spread
+            even[:, :-1] &= ~both | (np.abs(excess) <= noise)
+            sound[:, :-1] &= ~both | (np.abs(excess) <= noise + ISLANDS.slope_share * gap * allowed)
+    return sound, even
 
 
 def _wrapped(phase: Floats) -> Floats:
@@ -167,14 +171,17 @@ def _meeting(right: Mask, down: Mask, label: _Labels) -> Mask:
     return np.asarray(cv2.dilate(meeting, np.ones((side, side), np.uint8)) > 0)
 
 
-def _beside_steps(right: Mask, down: Mask, label: _Labels) -> Mask:
-    """Pixels that an unsound link parts from another island: they may see both."""
-    beside = np.zeros(label.shape, np.bool_)
+def _beside_steps(right: Mask, down: Mask, label: _Labels, usable: Mask) -> Mask:
+    """Pixels that a step parts from another island, or two from what is in none: they may see both."""
+    beside, unsound = np.zeros(label.shape, np.bool_), np.zeros(label.shape, np.uint8)
     for sound, a, b in ((right[:, :-1], np.s_[:, :-1], np.s_[:, 1:]), (down[:-1], np.s_[:-1], np.s_[1:])):
-        step = ~sound & (label[a] != label[b]) & (label[a] > 0) & (label[b] > 0)
+        step = ~sound & (label[a] != label[b]) & usable[a] & usable[b]
+        unsound[a] += step
+        unsound[b] += step
+        step &= (label[a] > 0) & (label[b] > 0)
         beside[a] |= step
         beside[b] |= step
-    return beside
+    return beside | (unsound > 1)
 
 
 def _eroded(mask: Mask, reach: int) -> Mask:

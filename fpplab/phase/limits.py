@@ -314,6 +314,9 @@ class PartMotionLimits(NamedTuple):
     median_px: int = 9
     """Side of the square whose median is its distance. Chosen: beyond waves by motion."""
     trial_pixels: int = 300  # pixels by which displacements to begin with are compared (chosen)
+    trial_patches: int = 12  # whose depths are looked for at each of them (chosen)
+    refined_patches: int = 60  # whose depths tell the best of the refined ones (chosen: fewer cannot)
+    patch_px: int = 5  # side of a patch of one order, odd (chosen: noise of a pixel may not tell it)
     refined_trials: int = 3  # of them that are refined (chosen)
     fitted_pixels: int = 800  # pixels by which the displacement is fitted (chosen)
     axial_trials: int = 3  # displacements along the axis to begin with (chosen)
@@ -327,6 +330,7 @@ class PartMotionLimits(NamedTuple):
     tolerance_mm: float = 0.003  # least of them (chosen: a thousandth of a fringe)
     blur_px: float = 0.8
     """Blur of the frames that displacements are fitted to. Chosen: interpolation then keeps noise."""
+    gain_sigma: float = 0.01  # of the lamp's light in a set, as a share (chosen: more than a lamp flickers)
     outlier_sigmas: float = 3.0  # rests beyond which count less (chosen)
     outlier_ratio: float = 3.0  # power beyond this multiple of the median is no part's (chosen)
     chance_sigmas: float = 4.0  # by how much better a pixel must follow than stand still (chosen)
@@ -342,6 +346,12 @@ class PartMotionLimits(NamedTuple):
     alone scatters by more than its own ramp."""
     margin_px: int = 64  # beyond tiles that move up to which pixels are looked at (chosen)
     block_pixels: int = 50_000  # pixels that are followed at a time (chosen: 100 MB)
+    patches: int = 200  # whose depths are looked for at a time (chosen: 100 MB)
+    candidates_per_period: int = 8
+    """Depths that are tried within a period of the finest fringes. Chosen: the right one is within π/8."""
+    refined_orders: int = 4  # of them that are refined and compared (chosen)
+    place_steps: int = 3  # of its refinement (chosen: each leaves the square of the error before)
+    rim_px: int = 2  # from the edge of a part, within which pixels are given up (chosen: as blur reaches)
     max_noise_ratio: float = 10.0
     """Greatest increase of a coordinate's noise by uneven steps. Chosen: beyond it frames do not allow it."""
     min_followed_share: float = 0.5

@@ -23,10 +23,12 @@ from fpplab.core.conventions import AXES, TWO_PI, Floats, Image, Map, Mask, axis
 from fpplab.core.errors import FppError
 from fpplab.patterns.motion import Compensation, PartMotion
 from fpplab.patterns.recording import Recording
+from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import decode
 from fpplab.phase.common_errors import beyond_fringe
 from fpplab.phase.limits import COMMON_ERRORS, MOTION
 from fpplab.reconstruction.depth_range import decoding_bounds
+from fpplab.reconstruction.likely_depths import likely_depths
 from fpplab.reconstruction.points import triangulate
 from fpplab.reconstruction.triangulation import camera_rays
 
@@ -51,7 +53,7 @@ def compensate_motion(recording: Recording, calibration: Calibration) -> Recordi
         depth, before = _depth(_as_at_rest(follower, regions), calibration, rough=False), regions
         if depth is None:
             break
-        follower = replace(follower, depth=depth[0])
+        follower = follower.at_depth(depth[0])
         regions = [_refitted(follower, region) for region in regions]
         changes = [np.abs(a.moved - b.moved).max() for a, b in zip(before, regions, strict=True)]
         if max(changes) < MOTION.tolerance_mm:
@@ -103,7 +105,8 @@ class _Tiles:
         freedom = side**2 * sum(plan.fringes[k].images - 3 for k in used)
         still, best = powers[..., len(turns) // 2], powers.min(axis=-1)
         least = freedom * MOTION.min_variance / recording.grey**2
-        lit = np.min(strengths, axis=0) >= (plan.masks.modulation_min / recording.grey) ** 2
+        # A set whose fringes move as a part does shows none there.
+        lit = np.max(strengths, axis=0) >= (plan.masks.modulation_min / recording.grey) ** 2
         rates = turns * axis_length(recording.projector_size, axis) / finest
         moved = turns[powers.argmin(axis=-1)]
         moves = lit & (np.abs(moved) >= MOTION.min_fringes) & (still > MOTION.min_power_ratio * best + least)
@@ -208,9 +211,21 @@ class _Follower:
     def followed(self, pixels: Pixels, moved: Floats, k: int) -> tuple[Floats, Floats, Floats]:
         """Levels of set k where the pixels' points are seen, the shifts of these, and where that is."""
         # pixels (P, 2); moved (3,) mm over the scan; returns (N, P), (N, P) rad, (N, P, 2)
+        offsets, shifts, _ = self.ways(self.points[tuple(pixels.T)], moved, k)
+        first, end = self.recording.plan.set_starts[k : k + 2]
+        seen = offsets + pixels
+        levels = [
+            scipy.ndimage.map_coordinates(spline, at.T, prefilter=False, mode="nearest", output=np.float64)
+            for spline, at in zip(self.splines[first:end], seen, strict=True)
+        ]
+        return np.stack(levels), shifts, np.asarray(seen)
+
+    def ways(self, points: Floats, moved: Floats, k: int) -> tuple[Floats, Floats, Floats]:
+        """By how much points are displaced in the camera's images of set k, their shifts, and their phase."""
+        # points (P, 3); returns (N, P, 2) row and column, (N, P) rad, (P,) rad
         plan, rig = self.recording.plan, self.calibration
         fringe, (first, end) = plan.fringes[k], plan.set_starts[k : k + 2]
-        points, axis = self.points[tuple(pixels.T)], AXES.index(fringe.axis)
+        axis = AXES.index(fringe.axis)
         # Over a few mm, ways through both images are parabolas.
         nodes = self.shares[[0, -1]]
         ends = points + nodes[:, None, None] * moved
@@ -218,33 +233,81 @@ class _Follower:
             np.stack([nodes, nodes**2], axis=1)
         )
         offsets = rig.camera.project(ends) - rig.camera.project(points)
-        seen = np.tensordot(bend, offsets[..., ::-1], 1) + pixels
         shown = [rig.projector.project(p, rig.T_projector_camera)[..., axis] for p in (*ends, points)]
         to_rad = TWO_PI * fringe.stripes / axis_length(self.recording.projector_size, fringe.axis)
         shifts = fringe.phase_shifts()[:, None] - to_rad * bend @ (np.stack(shown[:2]) - shown[2])
-        levels = [
-            scipy.ndimage.map_coordinates(spline, at.T, prefilter=False, mode="nearest", output=np.float64)
-            for spline, at in zip(self.splines[first:end], seen, strict=True)
-        ]
-        return np.stack(levels), shifts, np.asarray(seen)
+        phase = to_rad * (shown[2] + 0.5) + fringe.demodulation().origin_rad
+        return np.asarray(np.tensordot(bend, offsets[..., ::-1], 1)), shifts, np.asarray(phase)
+
+    def at_depth(self, depth: Floats) -> _Follower:
+        """The same with another depth map."""
+        other = replace(self, depth=depth)
+        other.__dict__["splines"] = self.splines
+        return other
+
+    @cached_property
+    def inverse_depths(self) -> Floats | None:
+        """Ends and middle of the range of depths that tells the orders; None where phases do."""
+        recording = self.recording
+        if recording.depth is None or not unwrapping_methods()[recording.plan.unwrapping].guided:
+            return None
+        near, far = recording.depth.mm
+        return np.array([1.0 / near, 0.5 / near + 0.5 / far, 1.0 / far])
+
+    def likely(self, pixels: Pixels, moved: Floats) -> tuple[Floats, Floats]:
+        """Find the likeliest depths (P,) in mm of patches' pixels in that range, and residuals (N, P)."""
+        assert self.inverse_depths is not None
+        plan = self.recording.plan
+        used = plan.sets_along(plan.axes[0])
+        rays = camera_rays(self.calibration.camera)[tuple(pixels.T)]
+        phases = []
+        for inverse in self.inverse_depths:
+            ways = [self.ways(rays / inverse, moved, k) for k in used]
+            phases.append(np.concatenate([phase - shifts for _, shifts, phase in ways]))
+        (first, middle, last), (near, _, far) = phases, self.inverse_depths
+        place, left = likely_depths(
+            np.concatenate([self.followed(pixels, moved, k)[0] for k in used]),
+            np.stack([middle, 0.5 * (last - first), 0.5 * (last + first) - middle]),
+            np.repeat(range(len(used)), [plan.fringes[k].images for k in used]),
+        )
+        return 2.0 / (near + far + (far - near) * place), left
+
+    @cached_property
+    def compared(self) -> list[int]:
+        """Sets whose offset is the same but for the lamp's gain, none where there is only one."""
+        fringes = self.recording.plan.fringes
+        fine = [k for k, fringe in enumerate(fringes) if fringe.stripes >= COMMON_ERRORS.min_stripes]
+        return fine if len(fine) > 1 else []
+
+    def fits(self, pixels: Pixels, moved: Floats, *, gains: bool = True) -> list[_SetFit]:
+        """Fit every set at the pixels; sets of one offset together, which uneven steps alone may not tell."""
+        fits = [_fit(*self.followed(pixels, moved, k)) for k in range(len(self.recording.plan.fringes))]
+        if not self.compared:
+            return fits
+        weights = {k: 1.0 / fits[k].inverse[:, 0, 0] for k in self.compared}
+        mean = sum(w * fits[k].fitted[0] for k, w in weights.items()) / sum(weights.values())
+        factors = {k: self._gain(fits[k], np.maximum(mean, 1e-9)) if gains else 1.0 for k in self.compared}
+        variance = np.asarray(1.0 / sum(factors[k] ** 2 * w for k, w in weights.items()))
+        offset = variance * sum(factors[k] * w * fits[k].fitted[0] for k, w in weights.items())
+        for k, gain in factors.items():
+            fits[k] = fits[k].with_offset(gain * offset, gain**2 * variance)
+        return fits
+
+    def _gain(self, fit: _SetFit, offset: Floats) -> float:
+        """How much brighter a set is than others; as a lamp's usually is where its steps do not tell."""
+        # Most pixels tell it, and not those that the part passed by.
+        spread = self.noise * np.median(np.sqrt(fit.inverse[:, 0, 0]) / offset) / np.sqrt(len(offset))
+        known = MOTION.gain_sigma**2 / (MOTION.gain_sigma**2 + spread**2)
+        return float(1.0 + known * (np.median(fit.fitted[0] / offset) - 1.0))
 
     def residuals(self, pixels: Pixels, moved: Floats, *, gains: bool = True) -> Floats:
         """Compute what sinusoids and the lamp's gains leave of the followed levels, over their noise."""
         # returns (M, P)
-        residuals, offsets = list[Floats](), list[Floats]()
-        for k, fringe in enumerate(self.recording.plan.fringes):
-            levels, shifts, _ = self.followed(pixels, moved, k)
-            fitted, residual, _ = _fit(levels, shifts)
-            if fringe.images > 3:
-                residuals.append(_without_gains(residual, levels - residual) if gains else residual)
-            if fringe.stripes >= COMMON_ERRORS.min_stripes:
-                offsets.append(fitted[:1])
-        if len(offsets) > 1:
-            mean = np.mean(offsets, axis=0)
-            for each in offsets:
-                # Most pixels tell how much brighter a set is, and not those that the part passed by.
-                gain = float(np.median(each / np.maximum(mean, 1e-9))) if gains else 1.0
-                residuals.append(each - gain * mean)
+        residuals = [
+            _without_gains(fit.residual, fit.levels - fit.residual) if gains else fit.residual
+            for k, fit in enumerate(self.fits(pixels, moved, gains=gains))
+            if len(fit.levels) > 3 or k in self.compared
+        ]
         return np.concatenate(residuals) / self.noise
 
 
@@ -254,13 +317,37 @@ def _without_gains(residual: Floats, levels: Floats) -> Floats:
     return np.asarray(residual - gains[:, None] * levels)
 
 
-def _fit(levels: Floats, shifts: Floats) -> tuple[Floats, Floats, Floats]:
-    """Fit `A + c cos + s sin` pixel by pixel: (3, P), what it leaves (N, P), and the inverses (P, 3, 3)."""
+@dataclass(frozen=True, eq=False)
+class _SetFit:
+    """A set's followed levels, fitted by `A + c cos + s sin` pixel by pixel."""
+
+    levels: Floats  # (N, P)
+    shifts: Floats  # (N, P) rad
+    places: Floats  # (N, P, 2) row and column of where they were seen
+    fitted: Floats  # (3, P)
+    inverse: Floats  # (P, 3, 3) covariance for noise of 1
+
+    @cached_property
+    def residual(self) -> Floats:
+        offset, c, s = self.fitted
+        return np.asarray(self.levels - offset - c * np.cos(self.shifts) - s * np.sin(self.shifts))
+
+    def with_offset(self, offset: Floats, variance: Floats) -> _SetFit:
+        """The same where the offset is known from all sets."""
+        along = self.inverse[:, :, 0] / self.inverse[:, :1, 0]
+        fitted = self.fitted + along.T * (offset - self.fitted[0])
+        known = (self.inverse[:, 0, 0] - variance)[:, None, None]
+        return replace(
+            self, fitted=fitted, inverse=self.inverse - known * along[:, :, None] * along[:, None, :]
+        )
+
+
+def _fit(levels: Floats, shifts: Floats, places: Floats) -> _SetFit:
     waves = np.stack([np.ones_like(shifts), np.cos(shifts), np.sin(shifts)])
     normal = np.einsum("inp,jnp->pij", waves, waves) + 1e-6 * np.eye(3)
     inverse = np.linalg.inv(normal)
     fitted = np.einsum("pij,jnp,np->ip", inverse, waves, levels, optimize=True)
-    return fitted, levels - np.einsum("ip,inp->np", fitted, waves), inverse
+    return _SetFit(levels, shifts, places, fitted, inverse)
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,16 +382,60 @@ def _regions(follower: _Follower, tiles: _Tiles) -> list[_Region]:
         if taken[tuple(seeds.T)].mean() > 0.5:  # beside another group of the same part
             continue
         few = seeds[: MOTION.trial_pixels]
-        trials = list(_start_displacements(follower, tiles, group, few))
-        costs = [_cost(follower, trial, few) for trial in trials]
-        best = [_minimum(follower, trials[k], few)[0] for k in np.argsort(costs)[: MOTION.refined_trials]]
-        start = min(best, key=lambda m: (not _runs_forward(follower, m, few), _cost(follower, m, few)))
         moving = tiles.mask(group, taken.shape) & ~taken
-        region = _region(follower, start, seeds, taken, MOTION.window_px, moving)
-        if _is_even(follower, region.moved, np.argwhere(region.judged.mask)):
+        trials = list(_start_displacements(follower, tiles, group, few))
+        if follower.inverse_depths is None:
+            start, local = _start(follower, trials, few), follower
+        else:
+            start, local = _start_in_range(follower, trials, few)
+            near = scipy.ndimage.binary_dilation(moving, iterations=MOTION.margin_px)
+            depth = _with_likely_depths(local, start, np.argwhere(near)).depth
+            local = local.at_depth(scipy.ndimage.median_filter(depth, MOTION.median_px))
+        region = _region(local, start, seeds, taken, MOTION.window_px, moving)
+        if _is_even(local, region.moved, np.argwhere(region.judged.mask)):
             regions.append(region)
             taken |= region.judged.mask
     return regions
+
+
+def _start(follower: _Follower, trials: Sequence[Floats], few: Pixels) -> Floats:
+    """Refine the displacements of least cost, and choose one."""
+    costs = [_cost(follower, trial, few) for trial in trials]
+    best = [_minimum(follower, trials[k], few)[0] for k in np.argsort(costs)[: MOTION.refined_trials]]
+    return min(best, key=lambda m: (not _runs_forward(follower, m, few), _cost(follower, m, few)))
+
+
+def _start_in_range(follower: _Follower, trials: Sequence[Floats], few: Pixels) -> tuple[Floats, _Follower]:
+    """The same where orders, and so depths, depend on the displacement: each has those that suit it best."""
+    assert follower.inverse_depths is not None
+    follower = follower.at_depth(np.full(follower.depth.shape, 1.0 / follower.inverse_depths[1]))
+
+    def cost(moved: Floats, patches: int) -> float:
+        left = follower.likely(_patches(few[:patches], follower.depth.shape), moved)[1]
+        return float(np.median(np.sum(left**2, axis=0)))  # pixels that the part passed by do not count
+
+    best = []
+    for k in np.argsort([cost(trial, MOTION.trial_patches) for trial in trials])[: MOTION.refined_trials]:
+        best += [trials[k], _minimum(_with_likely_depths(follower, trials[k], few), trials[k], few)[0]]
+    return min(best, key=lambda moved: cost(moved, MOTION.refined_patches)), follower
+
+
+def _with_likely_depths(follower: _Follower, moved: Floats, pixels: Pixels) -> _Follower:
+    """The same with the most likely depths of patches about the pixels."""
+    depth, side = follower.depth.copy(), MOTION.patch_px
+    patches = _patches(np.unique(pixels // side, axis=0) * side + side // 2, depth.shape)
+    for first in range(0, len(patches), MOTION.patches * side**2):
+        block = patches[first : first + MOTION.patches * side**2]
+        depth[tuple(block.T)] = follower.likely(block, moved)[0]
+    return follower.at_depth(depth)
+
+
+def _patches(centres: Pixels, shape: tuple[int, ...]) -> Pixels:
+    """The pixels of squares about some, those of a square one after another."""
+    half = MOTION.patch_px // 2
+    around = np.stack(np.meshgrid(*2 * [np.arange(-half, half + 1)], indexing="ij"), axis=-1).reshape(-1, 2)
+    inside = np.clip(centres, half, np.array(shape) - half - 1)
+    return np.asarray((inside[:, None] + around).reshape(-1, 2))
 
 
 def _refitted(follower: _Follower, region: _Region) -> _Region:
@@ -335,14 +466,12 @@ def _is_even(follower: _Follower, moved: Floats, pixels: Pixels) -> bool:
     if np.median(still) < MOTION.min_power_ratio * np.median(followed):
         return False
     jitters, ways = list[Floats](), list[Floats]()
-    for k, fringe in enumerate(follower.recording.plan.fringes):
+    for fringe, fit in zip(follower.recording.plan.fringes, follower.fits(pixels, moved), strict=True):
         if fringe.images > 3 and fringe.stripes >= COMMON_ERRORS.min_stripes:
-            levels, shifts, _ = follower.followed(pixels, moved, k)
-            (_, c, s), residual, _ = _fit(levels, shifts)
-            by_phase = s * np.cos(shifts) - c * np.sin(shifts)
+            by_phase = fit.fitted[2] * np.cos(fit.shifts) - fit.fitted[1] * np.sin(fit.shifts)
             share = fringe.images / (fringe.images - 3) / np.sum(by_phase**2, axis=1)
-            jitters.append(np.sum(residual * by_phase, axis=1) * share)
-            way = (shifts - fringe.phase_shifts()[:, None]).mean(axis=1)
+            jitters.append(np.sum(fit.residual * by_phase, axis=1) * share)
+            way = (fit.shifts - fringe.phase_shifts()[:, None]).mean(axis=1)
             ways.append(way - way.mean())
     jitter, way = (float(np.sqrt(np.mean(np.concatenate(each) ** 2))) for each in (jitters, ways))
     return jitter <= MOTION.max_jitter * way
@@ -357,8 +486,7 @@ def _runs_forward(follower: _Follower, moved: Floats, pixels: Pixels) -> bool:
         return np.asarray(np.minimum(pixels + by * beside, np.array(follower.depth.shape) - 1))
 
     def wave(at: Pixels) -> Floats:
-        levels, shifts, _ = follower.followed(at, moved, k)
-        return np.asarray(_fit(levels, shifts)[0])
+        return follower.fits(at, moved)[k].fitted
 
     rig, axis = follower.calibration, AXES.index(plan.axes[0])
     rays = camera_rays(rig.camera)
@@ -376,8 +504,13 @@ def _runs_forward(follower: _Follower, moved: Floats, pixels: Pixels) -> bool:
 
 def _cost(follower: _Follower, moved: Floats, pixels: Pixels) -> float:
     """Half of what remains, in squares of its noise; outliers count by their size."""
-    robust = np.sqrt(1.0 + np.square(follower.residuals(pixels, moved) / MOTION.outlier_sigmas)) - 1.0
-    return float(MOTION.outlier_sigmas**2 * robust.sum() + 0.5 * np.square(moved / MOTION.prior_mm).sum())
+    expected = 0.5 * np.square(moved / MOTION.prior_mm).sum()
+    return _robust(follower.residuals(pixels, moved)) + float(expected)
+
+
+def _robust(residuals: Floats) -> float:
+    squares = np.sqrt(1.0 + np.square(residuals / MOTION.outlier_sigmas)) - 1.0
+    return float(MOTION.outlier_sigmas**2 * squares.sum())
 
 
 def _by_least_squares(follower: _Follower, start: Floats, pixels: Pixels) -> Floats:
@@ -500,7 +633,10 @@ def _as_at_rest(follower: _Follower, regions: Sequence[_Region]) -> Recording:
         if part.is_compensated:
             noise[region.mask], left[region.mask] = ratio, part.left_px
             passed |= _follow(follower, region, frames) | region.swept
-    passed &= ~np.any([region.mask for region in regions], axis=0)
+    # The outermost pixels of a part see what is behind it too, and that does not follow.
+    rim = np.ones((2 * MOTION.rim_px + 1, 2 * MOTION.rim_px + 1))
+    inner = [scipy.ndimage.binary_erosion(region.mask, rim) for region in regions]
+    passed &= ~np.any(inner, axis=0)
     for frame in frames[1:]:
         frame[passed] = frames[0][passed]
     return replace(recording, frames=frames, motion=Compensation(tuple(parts), noise, left))
@@ -511,14 +647,12 @@ def _follow(follower: _Follower, region: _Region, frames: list[Image]) -> Mask:
     pixels, plan = np.argwhere(region.mask), follower.recording.plan
     own, top = tuple(pixels.T), full_scale(follower.recording.bits)
     passed = np.zeros(region.mask.shape, np.bool_)
-    for k, fringe in enumerate(plan.fringes):
-        levels, shifts, seen = follower.followed(pixels, region.moved, k)
-        fitted, residual, _ = _fit(levels, shifts)
-        steps = fringe.phase_shifts()
-        shown = fitted[0] + np.outer(np.cos(steps), fitted[1]) + np.outer(np.sin(steps), fitted[2])
-        shown += beyond_fringe(steps) @ residual
+    for k, fit in enumerate(follower.fits(pixels, region.moved)):
+        steps = plan.fringes[k].phase_shifts()
+        shown = np.stack([np.ones_like(steps), np.cos(steps), np.sin(steps)], axis=1) @ fit.fitted
+        shown += beyond_fringe(steps) @ fit.residual
         first, end = plan.set_starts[k : k + 2]
-        for frame, level, at in zip(frames[first:end], shown, seen, strict=True):
+        for frame, level, at in zip(frames[first:end], shown, fit.places, strict=True):
             frame[own] = np.clip(np.rint(level), 0, top).astype(frame.dtype)
             v, u = np.clip(np.rint(at).astype(int), 0, np.array(passed.shape) - 1).T
             passed[v, u] = True
@@ -530,13 +664,13 @@ def _part_motion(follower: _Follower, region: _Region) -> tuple[PartMotion, Floa
     plan, pixels, moved = follower.recording.plan, np.argwhere(region.mask), region.moved
     k = plan.finest_set(plan.axes[0])
     fringe, steps = plan.fringes[k], plan.fringes[k].phase_shifts()
-    levels, shifts, _ = follower.followed(pixels, moved, k)
-    (_, c, s), _, inverse = _fit(levels, shifts)
+    fit = follower.fits(pixels, moved)[k]
+    _, c, s = fit.fitted
     modulation = np.hypot(c, s)
     along = np.stack([np.zeros_like(c), -s, c]) / np.maximum(modulation, 1e-9)
-    ratio = np.sqrt(0.5 * len(steps) * np.einsum("ip,pij,jp->p", along, inverse, along))
+    ratio = np.sqrt(0.5 * len(steps) * np.einsum("ip,pij,jp->p", along, fit.inverse, along))
     phase = np.arctan2(s, c)
-    off = np.angle((np.exp(1j * (steps[:, None] - phase)) * np.cos(phase - shifts)).sum(axis=0))
+    off = np.angle((np.exp(1j * (steps[:, None] - phase)) * np.cos(phase - fit.shifts)).sum(axis=0))
     some = pixels[:: max(1, len(pixels) // MOTION.trial_pixels)]
     ramps = [follower.followed(some, v, k)[1].mean(axis=1) for v in (*(moved + np.eye(3)), moved)]
     by_mm = ramps[3] - np.stack(ramps[:3])  # (3, N) rad

@@ -71,6 +71,21 @@ def test_islands_are_right_up_to_one_number_of_periods(steps: int, shape: str) -
         assert 0.85 < np.std(error) / np.median(stated) < 1.15
 
 
+def test_a_tilted_part_is_not_joined_by_an_edge_that_looks_like_a_crease() -> None:
+    truth = FLAT + np.where(INSIDE, (1.0 - 0.008 - 0.016 * (79.5 - Y)) * PERIOD, 0.0)
+    errors = errors_by_island(decode(recorded(truth, 3)), truth)
+    for error in errors.values():
+        orders = np.rint(error / PERIOD)
+        assert (orders == np.median(orders)).all()
+
+
+def test_two_faces_of_a_body_are_one_island() -> None:
+    truth = FLAT + 0.3 * np.abs(X - 75.0)
+    (error,) = errors_by_island(decode(recorded(truth)), truth).values()
+    assert np.ptp(np.rint(error / PERIOD)) == 0
+    assert error.size > 0.95 * truth.size
+
+
 @pytest.mark.parametrize("change", [0.06, 0.2, 1.2])
 def test_a_step_that_passes_through_a_whole_period_is_no_bridge(change: float) -> None:
     truth = FLAT + np.where(INSIDE, (1.0 + change * (Y - 55.0) / 25.0) * PERIOD, 0.0)

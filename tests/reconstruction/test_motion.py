@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion
 
 from benchmarks.motion import DIRECTIONS, FOUR_STEPS, PLANS, MovingScene, measured, period_mm
 from fpplab.core.progress import no_progress
@@ -11,7 +12,15 @@ from fpplab.diagnosis import Diagnosis, diagnose_scan
 from fpplab.patterns.motion import Compensation, PartMotion
 from fpplab.phase import decode
 from fpplab.pipeline.measuring import triangulate_recording
-from fpplab.reconstruction.motion import _Follower, _part_motion, _Region, _Tiles, compensate_motion
+from fpplab.reconstruction.motion import (
+    _fit,
+    _Follower,
+    _part_motion,
+    _patches,
+    _Region,
+    _Tiles,
+    compensate_motion,
+)
 from tests.diagnosis.scenes import Bench, plan_of
 
 SEED = 3
@@ -57,6 +66,44 @@ def test_a_part_that_moves_is_compensated_and_told() -> None:
     assert compensated.rms_um**2 - still.rms_um**2 < (without.rms_um / 5.0) ** 2
     assert compensated.rms_um < 1.5 * compensated.stated_um
     assert f"moved by {displaced:.1f}" in compensated.told
+
+
+@pytest.mark.parametrize("way", DIRECTIONS)
+def test_sets_that_share_an_offset_tell_phases_at_nearly_even_ones(way: str) -> None:
+    """Steps of a quarter period are two thirds of one after a motion by two fringes."""
+    displaced = 2.0 * period_mm(FOUR_STEPS, DIRECTIONS[way]) * DIRECTIONS[way]
+    scene = MovingScene(FOUR_STEPS, (float(displaced[0]), float(displaced[1]), float(displaced[2])), SEED)
+    points, _, part = scene.surface(scene.middle)
+    follower = _Follower(scene.recording(), scene.rig, points[..., 2], 1.0)
+    pixels = np.argwhere(part)[::50]
+    alone, together = (
+        np.median(fit.inverse[:, 1, 1] + fit.inverse[:, 2, 2])
+        for fit in (_fit(*follower.followed(pixels, displaced, 2)), follower.fits(pixels, displaced)[2])
+    )
+    assert together < 0.2 * alone
+
+
+def test_likely_depths_are_those_of_the_part() -> None:
+    """At uneven steps too, where phases of single sets give wrong orders."""
+    plan, direction = PLANS["nine"], DIRECTIONS["axial"]
+    scene = MovingScene(plan, (0.0, 0.0, float(-period_mm(plan, direction))), SEED)
+    points, _, part = scene.surface(scene.middle)
+    level = np.full(part.shape, 450.0)
+    follower = _Follower(scene.recording(), scene.rig, level, 1.0)
+    patches = _patches(np.argwhere(binary_erosion(part, iterations=3))[::500], part.shape)
+    depth, _ = follower.likely(patches, np.array(scene.moved_mm))
+    off = np.abs(depth - points[..., 2][tuple(patches.T)])
+    assert np.mean(off < 0.1) > 0.9
+
+
+@pytest.mark.whole
+def test_a_part_whose_orders_depend_on_its_motion_is_compensated() -> None:
+    plan, direction = PLANS["nine"], DIRECTIONS["axial"]
+    scene = MovingScene(plan, (0.0, 0.0, float(-period_mm(plan, direction))), 16)
+    compensated = measured(scene, compensate_motion(scene.recording(), scene.rig))
+    assert compensated.rms_um < 1.5 * compensated.stated_um
+    assert compensated.share > 0.7
+    assert "it is compensated" in compensated.told
 
 
 def test_a_part_whose_orders_scatter_is_not_compensated() -> None:

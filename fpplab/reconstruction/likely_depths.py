@@ -1,0 +1,80 @@
+"""Depths of pixels that move, by maximum likelihood: all sets see a point with one offset and modulation.
+
+At uneven steps a set may tell its phase badly, and orders by phases of single sets are then wrong. Levels of
+all sets together still tell the depth within a range.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats
+from fpplab.phase.limits import MOTION
+
+
+def likely_depths(levels: Floats, bent: Floats, sets: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Find the place of each pixel from -1 to 1, of one order in each patch, and what is left there.
+
+    `levels` (N, P) are of all frames, those of a patch one after another, `bent` (3, N, P) their phases in
+    rad as coefficients of 1, place and its square, and `sets` (N,) the set of each, from 0.
+    """
+    levels = levels - levels.mean(axis=0)
+    fastest, contrast = np.abs(bent[1]).max(axis=0), np.ones((len(sets), 1))
+    tried = int(np.ceil(MOTION.candidates_per_period * fastest.max() / np.pi)) + 2
+    places = np.linspace(-1.0, 1.0, tried)
+    powers = np.stack([_of_patches(_left(levels, np.cos(_phases(bent, place)))) for place in places])
+    # Depths between those tried may suit better than the best of these.
+    refined, left = list[Floats](), list[Floats]()
+    for _ in range(MOTION.refined_orders):
+        place = places[powers.argmin(axis=0)]
+        powers[np.abs(places[:, None] - place) * fastest < 0.5 * np.pi] = np.inf
+        for _ in range(MOTION.place_steps):
+            place, _, residual = _stepped(levels, bent, contrast, place)
+        refined.append(place)
+        left.append(_of_patches(np.sum(residual**2, axis=0)))
+    place = np.take_along_axis(np.stack(refined), np.argmin(left, axis=0)[None], axis=0)[0]
+    for _ in range(MOTION.place_steps):
+        place, values, residual = _stepped(levels, bent, contrast, place)
+        contrast = _contrasts(levels, values, np.cos(_phases(bent, place)), residual, sets)
+    return place, residual
+
+
+def _of_patches(power: Floats) -> Floats:
+    """Give each pixel the mean over its patch."""
+    return np.repeat(power.reshape(-1, MOTION.patch_px**2).mean(axis=1), MOTION.patch_px**2)
+
+
+def _phases(bent: Floats, place: Floats | float) -> Floats:
+    return np.asarray(bent[0] + place * (bent[1] + place * bent[2]))
+
+
+def _left(levels: Floats, waves: Floats) -> Floats:
+    """Squares that an offset and a modulation above 0 leave of levels whose mean is 0."""
+    waves = waves - waves.mean(axis=0)
+    along = np.maximum(np.sum(levels * waves, axis=0), 0.0)
+    return np.asarray(np.sum(levels**2, axis=0) - along**2 / np.maximum(np.sum(waves**2, axis=0), 1e-9))
+
+
+def _stepped(levels: Floats, bent: Floats, contrast: Floats, place: Floats) -> tuple[Floats, Floats, Floats]:
+    """One step of Gauss and Newton; with offset and modulation (2, P) before it, and what they leave."""
+    phase, slope = _phases(bent, place), bent[1] + 2.0 * place * bent[2]
+    fit = np.stack([np.ones_like(phase), contrast * np.cos(phase)])
+    inverse = np.linalg.inv(np.einsum("inp,jnp->pij", fit, fit) + 1e-9 * np.eye(2))
+    values = np.einsum("pij,jnp,np->ip", inverse, fit, levels, optimize=True)
+    residual = levels - np.einsum("ip,inp->np", values, fit)
+    change = -values[1] * contrast * np.sin(phase) * slope
+    change -= np.einsum("pij,jnp,np,imp->mp", inverse, fit, change, fit, optimize=True)
+    limit = 0.5 / np.abs(bent[1]).max(axis=0)
+    step = np.sum(change * residual, axis=0) / np.maximum(np.sum(change**2, axis=0), 1e-9)
+    return np.clip(place + np.clip(step, -limit, limit), -1.0, 1.0), values, residual
+
+
+def _contrasts(
+    levels: Floats, values: Floats, waves: Floats, residual: Floats, sets: NDArray[np.intp]
+) -> Floats:
+    """Modulation of each frame's set relative to all, (N, 1), by the half of the pixels that fit best."""
+    power = np.sum(residual**2, axis=0)
+    good = power <= np.median(power)
+    shown = values[1, good] * waves[:, good]
+    alike, own = (np.sum(shown * each, axis=1) for each in (levels[:, good] - values[0, good], shown))
+    ratios = np.bincount(sets, alike) / np.maximum(np.bincount(sets, own), 1e-9)
+    return np.asarray(np.maximum(ratios / ratios.mean(), 0.1)[sets][:, None])
