@@ -129,18 +129,7 @@ class Recording:
         return replace(self, plan=plan, frames=frames, merged=merged)
 
     def part(self, chosen: tuple[slice, slice]) -> Recording:
-        """Take some pixels of the image.
-
-        Parameters
-        ----------
-        chosen : tuple of slice
-            Their rows and columns.
-
-        Returns
-        -------
-        Recording
-            With these pixels of every frame alone.
-        """
+        """Take some rows and columns of every frame."""
         frames = [np.ascontiguousarray(frame[chosen]) for frame in self.frames]
         merged = self.merged and replace(self.merged, scales=tuple(s[chosen] for s in self.merged.scales))
         return replace(self, frames=frames, merged=merged, motion=None)

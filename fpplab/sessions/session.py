@@ -235,13 +235,7 @@ class Session:
         return session
 
     def rig(self) -> RigRecord:
-        """Give the rig as resolved when the session was made.
-
-        Returns
-        -------
-        dict or None
-            As `Rig.described` gave it; None for imported images.
-        """
+        """Give the rig as resolved when the session was made; None for imported images."""
         return deepcopy(self._rig)
 
     @property
@@ -418,18 +412,7 @@ class Session:
         return recorded_bayer(self._rig, self.path)
 
     def response(self) -> Curve | None:
-        """Give the measured response of the rig that took the frames, where its file states one.
-
-        Returns
-        -------
-        Curve or None
-            The response.
-
-        Raises
-        ------
-        ConfigError
-            The rig's record holds something else.
-        """
+        """Give the measured response of the rig that took the frames; None where its file states none."""
         return recorded_response(self._rig, self.path)
 
     @property

@@ -111,20 +111,10 @@ class Target(PrintFields, _KindFields, GridFields):  # type: ignore[misc] # fiel
         return self.layout.symmetric
 
     def image(self, px_per_mm: float) -> NDArray[np.uint8]:
-        """Draw the whole board, antialiased by area.
+        """Draw the reflectance (height, width) of the whole board, 0 to 255, antialiased by area.
 
         The image's borders are the board's: where the size is not a whole number of pixels, the scale
         along that axis is adapted.
-
-        Parameters
-        ----------
-        px_per_mm : float
-            Resolution.
-
-        Returns
-        -------
-        NDArray[np.uint8]
-            Reflectance 0 to 255 (height, width).
         """
         share = covered_share(self.layout.shapes(), self.size_mm, px_per_mm)
         level = self.background + (self.foreground - self.background) * share

@@ -80,15 +80,13 @@ def members(cls: type) -> list[str]:
 
 @cache
 def strangers_read() -> frozenset[str]:
-    """Names that pages and examples mention: `name`, or behind a dot."""
-    files = [
-        path
-        for folder in ("docs", "examples")
-        for path in (ROOT / folder).rglob("*")
-        if path.suffix in (".md", ".py", ".ipynb") and "decisions" not in path.parts
-    ]
-    pages = "\n".join(path.read_text(encoding="utf-8") for path in files)
-    return frozenset(re.findall(r"[.`](\w+)", pages))
+    """Names behind a dot in examples and in Python blocks of pages, and those that docs/python.md lists."""
+    examples = [path for path in (ROOT / "examples").rglob("*") if path.suffix in (".py", ".ipynb")]
+    code = [path.read_text(encoding="utf-8") for path in examples]
+    for path in (ROOT / "docs").rglob("*.md"):
+        code += re.findall(r"```python.*?```", path.read_text(encoding="utf-8"), re.DOTALL)
+    listed = re.findall(r"`(\w+)`", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"))
+    return frozenset((*re.findall(r"\.(\w+)", "\n".join(code)), *listed))
 
 
 def errors(name: str, left_out: tuple[str, ...] = ()) -> list[str]:
