@@ -28,8 +28,10 @@ def html_table(title: str, rows: Mapping[str, object], picture: bytes | None = N
     if picture is None:
         return f"<div>{table}</div>"
     data = base64.b64encode(picture).decode("ascii")
-    image = f"<img alt='{escape(title, quote=True)}' src='data:image/png;base64,{data}'/>"
-    return f"<div style='display:flex;gap:1em'>{table}{image}</div>"
+    image = (
+        f"<img alt='{escape(title, quote=True)}' style='max-width:100%' src='data:image/png;base64,{data}'/>"
+    )
+    return f"<div style='display:flex;flex-wrap:wrap;align-items:flex-start;gap:1em'>{table}{image}</div>"
 
 
 def grey_picture(values: NDArray[Any], max_px: int = 240) -> bytes:

@@ -102,7 +102,7 @@ class Session:
         rows: dict[str, object] = {
             "folder": self.path,
             "frames": f"{len(self._records)} of {self.plan.frames}",
-            "plan": repr(self.plan),
+            "plan": repr(self.plan).removeprefix("<Plan: ").removesuffix(">"),
             "rig": "images from elsewhere" if self.is_imported else (self._rig or {}).get("name"),
             "state": "complete" if not missing else f"{missing} frames are missing",
         }

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image as Pixels
 
+from fpplab.core.notebook import grey_picture, html_table
 from fpplab.diagnosis import Diagnosis, Finding, Verdict
 from fpplab.diagnosis.causes.ambient import AMBIENT
 from fpplab.report.measurements import write_report
@@ -147,6 +148,18 @@ def test_the_first_view_is_framed_on_the_points(
         assert places[0] + places[-1] == pytest.approx(1, abs=0.06)
         filled.append(places[-1] - places[0])
     assert 0.85 < max(filled) < 1
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+def test_pictures_in_a_notebook_keep_their_shape(browser: Browser, tmp_path: Path, width: int) -> None:
+    """Beside a table that is higher, and narrower than both."""
+    rows = {f"a name of some length {row}": "a value of some length" for row in range(12)}
+    page = "<meta charset='utf-8'><body>" + html_table("Cloud", rows, grey_picture(np.eye(100, 150)))
+    (tmp_path / "notebook.html").write_text(page, encoding="utf-8")
+    browser.open(tmp_path / "notebook.html", width, 844)
+    size = browser.run("(i => [i.width, i.height, i.naturalWidth, i.naturalHeight])(document.images[0])")
+    assert size == [150, 100, 150, 100]
+    assert not browser.run("document.documentElement.scrollWidth > window.innerWidth")
 
 
 def test_counts_of_a_verdict_have_separators(pages: dict[str, Path]) -> None:
