@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import fpplab
-from docs.generate.pages import DOCS, ROOT
+from docs.generate.pages import DOCS, ROOT, PageError
 from docs.generate.reference import FILES, api_page, commands_page, every_command, files_page
 from docs.generate.running import GALLERY, run_once
 from docs.generate.site import build_site, make_pictures
@@ -109,6 +109,25 @@ def test_pages_link_to_what_there_is(site: Path) -> None:
             if not target.exists() or (anchor and target in anchors and anchor not in anchors[target]):
                 missing.append(f"{path.relative_to(site)}: {link}")
     assert missing == []
+
+
+def test_scripts_and_pages_are_run_and_their_faults_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[Path] = []
+    monkeypatch.setattr("docs.generate.site.verdict_of", done.append)
+    monkeypatch.setattr("docs.generate.site.run_once", done.append)
+    make_pictures()
+    assert sorted(done) == sorted([DOCS / "tour.md", *GALLERY])
+
+    def failing(path: Path) -> None:
+        raise PageError(f"{path.name} shows what does not happen")
+
+    monkeypatch.setattr("docs.generate.site.run_once", failing)
+    with pytest.raises(PageError, match=r"tour\.md shows"):
+        make_pictures()
+    monkeypatch.setattr("docs.generate.site.run_once", done.append)
+    monkeypatch.setattr("docs.generate.site.verdict_of", failing)
+    with pytest.raises(PageError, match=r"\.py shows"):
+        make_pictures()
 
 
 PHONE_COLUMN_PX = 358
