@@ -7,10 +7,11 @@ import pytest
 import yaml
 
 from fpplab import Instrument
+from fpplab.calibration.model import Calibration
 from fpplab.core.config import find_config
 from fpplab.core.errors import DeviceError
 from fpplab.results.observer import Observer
-from tests.cli.test_other_systems import save_calibration
+from sim.world.world import World
 
 
 class Messages(Observer):
@@ -32,7 +33,10 @@ def test_a_rig_is_opened_again_after_a_fault_and_a_change(
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
     world = tmp_path / "world.yaml"
     world.write_text(find_config("world_demo", "world").read_text())
-    save_calibration(tmp_path)
+    of = World.load("world_demo").binned(8)
+    devices = of.camera_model(), of.projector_model(), of.T_projector_camera()
+    rms_px = {"camera": 0.05, "projector": 0.05, "joint": 0.05}
+    Calibration(*devices, rms_px=rms_px).save(tmp_path / "calibration.yaml")
     told = Messages()
 
     def measure() -> bytes:
