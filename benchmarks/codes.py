@@ -8,8 +8,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
@@ -41,6 +44,7 @@ MICRO_STRIPES = (
     36.0,
 )  # drawn, of which the nearest codes are farthest apart
 FEW = slice(0, 5)  # of its sets, which noise confuses
+STRIPE_IMAGES, STRIPES_PX = 12, (3, 7)  # pattern files of random stripes, and least and greatest width
 
 
 def _micro(stripes: tuple[float, ...]) -> list[dict[str, Any]]:
@@ -61,10 +65,24 @@ CODES = {
 def run() -> list[Result]:
     """Measure every code at several levels of noise; a minute on a quiet core."""
     results = []
-    for seed, (name, sets) in enumerate(CODES.items(), start=39_000):
+    codes = {**CODES, f"stripes_of_{STRIPE_IMAGES}_files": _random_stripes()}
+    for seed, (name, sets) in enumerate(codes.items(), start=39_000):
         for ratio in RATIOS:
             results += _spread(name, sets, ratio, seed)
     return [*results, *_chance_of_error(), *_orders(), *_speed(), *_five_megapixels()]
+
+
+def _random_stripes() -> list[dict[str, Any]]:
+    """A plan's set of pattern files, each of stripes of random widths and levels."""
+    random, names = np.random.default_rng(39_600), [f"{k}.png" for k in range(STRIPE_IMAGES)]
+    with TemporaryDirectory(prefix="fpplab-bench-") as folder:
+        for name in names:
+            widths = random.integers(*STRIPES_PX, SIZE[0], endpoint=True)
+            stripes = np.repeat(random.integers(0, 256, SIZE[0], np.uint8), widths)[: SIZE[0]]
+            cv2.imwrite(f"{folder}/{name}", np.tile(stripes, (SIZE[1], 1)))
+        plan = Path(folder) / "plan.yaml"
+        plan.write_text(config.to_yaml({"fringes": [{"kind": "files", "axis": "x", "names": names}]}))
+        return list(config.parse_yaml(config.dump(Plan.load(plan)), "plan")["fringes"])
 
 
 def _light(plan: Plan, coordinate: Floats) -> Floats:

@@ -60,7 +60,9 @@ def find_islands(phase: Floats, sigma_rad: Floats, usable: Mask, window_px: floa
         contradictory |= np.isin(label, bad)
     label[contradictory] = 0
     _join(unwrapped, phase, right, down, label, count)
-    label[_meeting(right, down, label) | _beside_steps(right, down, label, usable)] = 0
+    label[_meeting(right, down, label) | _beside_steps(right, down, label)] = 0
+    for _ in range(ISLANDS.corner_px):
+        label[_corners(label, usable)] = 0
     sizes = np.bincount(label.ravel())
     kept = sizes >= ISLANDS.min_pixels
     kept[0] = False
@@ -171,17 +173,24 @@ def _meeting(right: Mask, down: Mask, label: _Labels) -> Mask:
     return np.asarray(cv2.dilate(meeting, np.ones((side, side), np.uint8)) > 0)
 
 
-def _beside_steps(right: Mask, down: Mask, label: _Labels, usable: Mask) -> Mask:
-    """Pixels that a step parts from another island, or two from what is in none: they may see both."""
-    beside, unsound = np.zeros(label.shape, np.bool_), np.zeros(label.shape, np.uint8)
+def _beside_steps(right: Mask, down: Mask, label: _Labels) -> Mask:
+    """Pixels that an unsound link parts from another island: they may see both."""
+    beside = np.zeros(label.shape, np.bool_)
     for sound, a, b in ((right[:, :-1], np.s_[:, :-1], np.s_[:, 1:]), (down[:-1], np.s_[:-1], np.s_[1:])):
-        step = ~sound & (label[a] != label[b]) & usable[a] & usable[b]
-        unsound[a] += step
-        unsound[b] += step
-        step &= (label[a] > 0) & (label[b] > 0)
+        step = ~sound & (label[a] != label[b]) & (label[a] > 0) & (label[b] > 0)
         beside[a] |= step
         beside[b] |= step
-    return beside | (unsound > 1)
+    return beside
+
+
+def _corners(label: _Labels, usable: Mask) -> Mask:
+    """Pixels of which two neighbours are of no island or another: a corner of what is beside may look so."""
+    strange = np.zeros(label.shape, np.uint8)
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        differ = usable[a] & usable[b] & (label[a] != label[b])
+        strange[a] += differ
+        strange[b] += differ
+    return np.asarray(strange > 1)
 
 
 def _eroded(mask: Mask, reach: int) -> Mask:

@@ -462,6 +462,7 @@ class IslandLimits(NamedTuple):
     window_reach: float = 2.0
     """The same in standard deviations of a window that made the phase, in addition. Chosen: a step spreads
     over two on either side."""
+    corner_px: int = 2  # pixels at corners of an island that are given up (chosen: blur reaches as far)
     hole_px: int = 1  # distance from pixels that are not measured at which islands begin (chosen)
     min_pixels: int = 100  # pixels of an island (chosen: a smaller one is a scrap beside a step)
     min_border_px: int = 25  # sound links that join two islands (chosen: more than such a gap has)

@@ -99,7 +99,10 @@ def _profile(path: Path, axis: str) -> NDArray[np.uint8]:
         image = image[..., 0]
     first = image[:1] if axis == "x" else image[:, :1]
     if (image != first).any():
-        raise ConfigError(f"{path}: changes across its axis {axis} too; a code changes along one axis alone")
+        raise ConfigError(
+            f"{path}: changes across its axis {axis} too; a code changes along one axis alone: use images of "
+            "stripes, one set for each axis"
+        )
     return np.asarray(first.ravel(), np.uint8)
 
 
