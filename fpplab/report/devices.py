@@ -126,8 +126,8 @@ def _device_figures(characterisation: Characterisation) -> Iterator[ReportFigure
     for device, seen in devices.items():
         picture = figures.draw_coverage(seen.pixels, seen.size, device)
         caption = (
-            f"Where the board's points were on the {device}, one colour per pose. No share of the image is "
-            "asked for; ninths of it that both devices see and that lack points are named by a warning."
+            f"Where the board's points were on the {device}, one colour per pose. A warning names "
+            "ninths of the image that both devices see and that have no points."
         )
         yield ReportFigure.of(picture, f"Points of the board over the {device}'s pixels", caption)
 
