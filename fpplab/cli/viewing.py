@@ -116,7 +116,6 @@ class MeasurementObserver(ViewObserver):
         self._show("maps", decoded)
 
     def result(self, result: object) -> None:
-        from fpplab.results.comparison import ComparisonResult
         from fpplab.results.scan import ScanResult
 
         if isinstance(result, ScanResult):
@@ -125,7 +124,12 @@ class MeasurementObserver(ViewObserver):
             if result.cloud is not None:
                 decoded = None if self._has_maps else result.decoded
                 self._show("results", decoded, result.cloud, result.depth, None)
-        elif isinstance(result, ComparisonResult):
+            return
+        from fpplab.results.comparison import (
+            ComparisonResult,
+        )  # with libraries of meshes, which scans need not
+
+        if isinstance(result, ComparisonResult):
             self._show("results", None, result.cloud, None, 1e3 * result.comparison.distances_mm)
 
 

@@ -57,3 +57,21 @@ def test_a_missing_file_is_refused_before_what_computes_is_loaded(tmp_path: Path
         if modules - NEEDED_TO_REFUSE.get(words.split()[0], set())
     }
     assert not wrong
+
+
+SCAN_SHOWN = """
+import sys
+from types import SimpleNamespace
+from fpplab.cli.viewing import MeasurementObserver
+from fpplab.results.scan import ScanResult
+result = object.__new__(ScanResult)
+vars(result).update(diagnosis=SimpleNamespace(is_useless=True), cloud=None)
+MeasurementObserver(None).result(result)
+print("trimesh" in sys.modules)
+"""
+
+
+@pytest.mark.whole
+def test_a_scan_is_shown_without_what_compares_shapes() -> None:
+    done = subprocess.run([sys.executable, "-c", SCAN_SHOWN], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
