@@ -9,7 +9,7 @@ Source: TI's DLPC350 client, GUI and SDK. Not yet tested on a board.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import groupby
 
 from drivers.dlp4500.layout import Values
 from drivers.dlp4500.protocol import (
@@ -94,7 +94,6 @@ class Entry:
     invert: bool = False  # whether the pattern is inverted
     black_after: bool = False  # whether black is inserted after the exposure
     swap: bool = False  # whether the next image is swapped in before the pattern
-    share_trigger: bool = False
 
     def values(self) -> Values:
         lit = {colour: int(colour in self.leds) for colour in COLOURS}
@@ -105,7 +104,7 @@ class Entry:
             "invert": int(self.invert),
             "black_after": int(self.black_after),
             "swap": int(self.swap),
-            "share_trigger": int(self.share_trigger),
+            "share_trigger": 0,  # every pattern has a trigger of its own
         }
 
 
@@ -224,21 +223,6 @@ def check_sequence(program: Program) -> None:
         raise ValueError(
             f"the period is {period} µs: {exposure}, the exposure, or at least {exposure + MIN_GAP_US} µs"
         )
-    for before, entry in pairwise(entries):
-        if entry.share_trigger and before.black_after:
-            raise ValueError("trigger output 1 cannot stay high over inserted black")
-    _check_shared(entries, exposure)
-
-
-def _check_shared(entries: Sequence[Entry], exposure_us: int) -> None:
-    starts = [i for i, entry in enumerate(entries) if not entry.share_trigger]
-    for start, end in zip(starts, [*starts[1:], len(entries)], strict=True):
-        group = entries[start:end]
-        minimum = max(MIN_EXPOSURE_US[entry.depth] for entry in group)
-        if exposure_us < minimum * len(group):
-            raise ValueError(
-                f"{len(group)} patterns share {exposure_us} µs: at least {minimum * len(group)} µs"
-            )
 
 
 def min_period_us(slots: Sequence[Slot], load_us: Mapping[int, int], repeat: bool = False) -> int:

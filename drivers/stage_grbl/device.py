@@ -18,11 +18,12 @@ from typing import Any, Literal
 
 from serial.tools import list_ports
 
-from drivers.stage_grbl.lines import AXES, HOLD, MM_PER_INCH, Axes, StatusReport
+from drivers.stage_grbl.lines import AXES, HOLD, Axes, StatusReport
 from drivers.stage_grbl.wire import ANSWER_S, START_S, GrblWire, RestartedError
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.errors import ConfigError, DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
+from fpplab.core.units import MM_PER_INCH
 from fpplab.devices import DeviceInfo, Stage, StageCaps
 
 FORCES_ORIGIN = "Z"  # build option of a controller whose machine position is 0 where homing ends

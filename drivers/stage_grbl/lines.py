@@ -14,7 +14,6 @@ RESET, HOLD, STATUS = b"\x18", b"!", b"?"
 
 AXES = "XYZ"
 STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep")
-MM_PER_INCH = 25.4  # by definition
 
 Axes = tuple[float, ...]
 """One number for each axis of the controller, X first; in mm or inches, as set by `$13`."""

@@ -111,13 +111,6 @@ def covariance_root(covariance: Floats) -> Floats:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def chi_square(uncertainty: Uncertainty, differences: Floats) -> float:
-    """Compute χ² of differences of the parameters: n on average where the covariance holds."""
-    # differences (n,)
-    _, inverse = independent_modes(uncertainty.covariance)
-    return float(np.sum((inverse @ differences) ** 2))
-
-
 def independent_modes(covariance: Floats) -> tuple[Floats, Floats]:
     """Compute independent modes, each of one standard deviation, and their inverse."""
     # covariance (n, n); returns modes (n, n), inverse (n, n)

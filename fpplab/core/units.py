@@ -5,7 +5,8 @@ import re
 
 from fpplab.core.errors import ConfigError
 
-MM = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+MM_PER_INCH = 25.4  # by definition
+MM = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": MM_PER_INCH}
 """Units of length in mm; the micro sign and the Greek letter are both written."""
 
 

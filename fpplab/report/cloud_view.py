@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from fpplab.comparison import Comparison
 
 MAX_POINTS = 60_000  # of a view (chosen: some megabytes); a page with several shares twice as many
-SAMPLE_POINTS = 40_000  # about as many tell where the points lie (chosen)
 TILT_DEG, TURN_DEG = 50.0, 25.0
 """The view at first: tilted away from the camera's own by this, and turned about the camera's axis."""
 FIELD_DEG = 30.0  # vertical field of view (chosen)
@@ -123,7 +122,7 @@ def decimate(cloud: Cloud, max_points: int) -> NDArray[np.bool_]:
 
 def _drop_far_points(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Points that lie within the middle 99 % of all, or no farther from them than half of their range."""
-    some = np.ascontiguousarray(points[:: max(1, len(points) // SAMPLE_POINTS)].T)
+    some = np.ascontiguousarray(points[:: max(1, len(points) // MAX_POINTS)].T)
     low, high = np.percentile(some, (0.5, 99.5), axis=1).astype(np.float32)
     reach = 0.5 * (high - low) + 1e-3
     return np.asarray(((points >= low - reach) & (points <= high + reach)).all(axis=1))

@@ -14,13 +14,12 @@ from matplotlib.transforms import Affine2D
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import need_suffix, write_atomic
+from fpplab.core.units import MM_PER_INCH
 from fpplab.targets.drawing import InkDisc, InkShape
 from fpplab.targets.target import Target
 
 PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4)}
 _KNOWN = {name.lower(): size for name, size in PAPERS.items()}
-
-MM_PER_INCH = 25.4  # by definition
 
 
 @dataclass(frozen=True)

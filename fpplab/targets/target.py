@@ -20,7 +20,6 @@ from fpplab.targets.drawing import covered_share
 from fpplab.targets.fields import GridFields, PrintFields
 from fpplab.targets.kinds import KINDS, OWN_FIELDS
 from fpplab.targets.layout import BoardLayout
-from fpplab.targets.partial import detect_part
 from fpplab.targets.views import Detection
 
 if TYPE_CHECKING:
@@ -126,7 +125,3 @@ class Target(PrintFields, _KindFields, GridFields):  # type: ignore[misc] # fiel
         A ChArUco board is found in part as well.
         """
         return detect(self.layout, image)
-
-    def detect_part(self, image: NDArray[Any]) -> Detection | None:
-        """Find as much of the board as a grey image shows; raises `UnclearPart` where that is ambiguous."""
-        return self.detect(image) or detect_part(self.layout, image)

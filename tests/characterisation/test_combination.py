@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from fpplab.calibration.changes import parameter_vector
-from fpplab.calibration.displacements import chi_square, error_modes
+from fpplab.calibration.displacements import error_modes
 from fpplab.calibration.model import PARAMETERS, Calibration, CalibrationOrigin
 from fpplab.characterisation import DistortionModel, characterise
-from fpplab.characterisation.combination import Combination, combine
+from fpplab.characterisation.combination import combine
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.origin import DeviceIdentity
 from tests.characterisation.test_correction import TRUE, seen_by
 from tests.support.rigs import BOARD, CAMERA, SQUARE
+from tests.support.uncertain_calibrations import mean_chi_square
 
 NAMES = "abcd"
 
@@ -48,21 +49,12 @@ def drawn(stated: Calibration, seed: int, moved_mm: float = 0.0, factor: float =
     return made
 
 
-def misfit(combination: Combination, truth: Calibration) -> float:
-    uncertainty = combination.calibration.uncertainty
-    assert uncertainty is not None
-    places = [PARAMETERS.index(name) for name in uncertainty.names]
-    return chi_square(
-        uncertainty, (parameter_vector(truth) - parameter_vector(combination.calibration))[places]
-    ) / len(places)
-
-
 @pytest.mark.whole
 def test_the_mean_of_calibrations_that_vary_as_stated_is_better_than_each(stated: Calibration) -> None:
     known = stated.uncertainty
     assert known is not None
     found = [combine(drawn(stated, seed), NAMES) for seed in range(3)]
-    assert 0.6 < np.mean([misfit(one, TRUE) for one in found]) < 1.4
+    assert 0.6 < np.mean([mean_chi_square(one.calibration, TRUE) for one in found]) < 1.4
     assert not any(one.varying for one in found)
     sigma = found[0].quantities["camera.fx"]
     assert sigma.stated == pytest.approx(known.sigma["camera.fx"], rel=1e-6)
@@ -73,7 +65,11 @@ def test_the_mean_of_calibrations_that_vary_as_stated_is_better_than_each(stated
 @pytest.mark.whole
 def test_a_rig_that_varies_is_as_uncertain_as_it_varies(stated: Calibration) -> None:
     found = [combine(drawn(stated, seed, moved_mm=1.0), NAMES) for seed in range(10, 13)]
-    assert 0.5 < np.mean([misfit(one, drawn(stated, 9, 1.0, 0.0)[0]) for one in found]) < 1.5
+    assert (
+        0.5
+        < np.mean([mean_chi_square(one.calibration, drawn(stated, 9, 1.0, 0.0)[0]) for one in found])
+        < 1.5
+    )
     for one in found:
         assert "baseline" in one.varying
         assert one.probabilities["projector or camera moved"] > 0.99
@@ -84,7 +80,7 @@ def test_a_rig_that_varies_is_as_uncertain_as_it_varies(stated: Calibration) -> 
 def test_errors_greater_than_stated_are_seen(stated: Calibration) -> None:
     found = [combine(drawn(stated, seed, factor=4.0), NAMES) for seed in range(20, 22)]
     assert 3.0 < np.mean([one.factor for one in found]) < 5.0
-    assert 0.5 < np.mean([misfit(one, TRUE) for one in found]) < 1.5
+    assert 0.5 < np.mean([mean_chi_square(one.calibration, TRUE) for one in found]) < 1.5
 
 
 def test_calibrations_of_different_rigs_are_refused(stated: Calibration) -> None:

@@ -11,6 +11,8 @@ from fpplab.characterisation.observation import observe
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 from fpplab.targets import Target, UnclearPart
+from fpplab.targets.partial import detect_part
+from fpplab.targets.views import Detection
 from tests.support.boards import plane_homography, pose, render
 from tests.targets.test_targets import CAMERA, CIRCLES, CORNERS, MARKED, SIZE, board, noisy, truth
 
@@ -36,13 +38,17 @@ def taken(target: Target, view: RigidTransform, ground: float = 0.3) -> np.ndarr
     return rendered(target, view, ground).copy()
 
 
+def part_of(target: Target, image: np.ndarray) -> Detection | None:
+    return target.detect(image) or detect_part(target.layout, image)
+
+
 def dim(kind: str, **changes: object) -> Target:
     return board(BOARDS[kind], foreground=0.1, background=0.8, **changes)
 
 
 def outcome(target: Target, picture: np.ndarray) -> str:
     try:
-        return "something" if target.detect_part(picture) else "nothing"
+        return "something" if part_of(target, picture) else "nothing"
     except UnclearPart as refusal:
         return str(refusal)
 
@@ -59,7 +65,7 @@ def test_points_in_view_keep_their_ids(kind: str, view: str) -> None:
     expected = truth(target, plane_homography(CAMERA, VIEWS[view]))
     picture = taken(target, VIEWS[view])
     assert target.detect(picture) is None
-    found = target.detect_part(picture)
+    found = part_of(target, picture)
     assert found is not None
     assert len(found.ids) < len(expected)
     np.testing.assert_allclose(found.pixels, expected[found.ids], atol=0.02)
@@ -71,7 +77,7 @@ def test_points_in_view_keep_their_ids(kind: str, view: str) -> None:
 def test_noise_does_not_change_what_is_what(kind: str) -> None:
     target = dim(kind)
     expected = truth(target, plane_homography(CAMERA, VIEWS["left half"]))
-    found = target.detect_part(noisy(taken(target, VIEWS["left half"]), 4.0))
+    found = part_of(target, noisy(taken(target, VIEWS["left half"]), 4.0))
     assert found is not None
     np.testing.assert_allclose(found.pixels, expected[found.ids], atol=0.08)
 
@@ -81,7 +87,7 @@ def test_noise_does_not_change_what_is_what(kind: str) -> None:
 def test_a_whole_board_is_found_whole(kind: str) -> None:
     target = dim(kind)
     view = pose((15, -20, 5), (0, 0, 200))
-    found = target.detect_part(taken(target, view))
+    found = part_of(target, taken(target, view))
     assert found is not None
     np.testing.assert_array_equal(found.ids, np.arange(len(target.points())))
 
@@ -90,7 +96,7 @@ def test_a_whole_board_is_found_whole(kind: str) -> None:
 @KINDS
 def test_a_middle_without_ends_could_be_anywhere(kind: str) -> None:
     with pytest.raises(UnclearPart, match=r"could be any of \d+ parts of it; show a corner"):
-        dim(kind).detect_part(taken(dim(kind), pose((0, 0, 0), (0, 0, 60))))
+        part_of(dim(kind), taken(dim(kind), pose((0, 0, 0), (0, 0, 60))))
 
 
 @pytest.mark.whole_after(2)
@@ -99,10 +105,10 @@ def test_a_middle_without_ends_could_be_anywhere(kind: str) -> None:
 def test_what_hides_a_row_does_not_pass_for_the_boards_end(from_row: int, level: int) -> None:
     target = dim("staggered")
     picture = taken(target, UP)
-    assert target.detect_part(picture) is not None
+    assert part_of(target, picture) is not None
     picture[from_row:] = level  # between the second row in view and the third
     with pytest.raises(UnclearPart, match="its edge included"):
-        target.detect_part(picture)
+        part_of(target, picture)
 
 
 @pytest.mark.whole_after(2)
@@ -119,9 +125,9 @@ def test_a_point_that_is_hidden_is_not_passed_over(kind: str, level: int) -> Non
 
 def test_without_a_contrast_to_what_is_behind_it_a_boards_end_is_not_known() -> None:
     target = dim("staggered")
-    assert target.detect_part(taken(target, UP, ground=0.3)) is not None
+    assert part_of(target, taken(target, UP, ground=0.3)) is not None
     with pytest.raises(UnclearPart, match="in front of something darker"):
-        target.detect_part(taken(target, UP, ground=0.8))
+        part_of(target, taken(target, UP, ground=0.8))
 
 
 @pytest.mark.whole_after(3)
@@ -142,20 +148,20 @@ def test_a_board_described_wrongly_is_no_part_of_itself(
 ) -> None:
     picture = taken(dim(real), VIEWS[view])
     with pytest.raises(UnclearPart, match="correct its description"):
-        dim(real, **said).detect_part(picture)
+        part_of(dim(real, **said), picture)
 
 
 @pytest.mark.whole
 @pytest.mark.parametrize("kind", ["staggered", "checkerboard"])
 def test_nothing_is_no_part(kind: str) -> None:
-    assert dim(kind).detect_part(np.zeros(SIZE[::-1], np.uint8)) is None
-    assert dim(kind).detect_part(noisy(np.full(SIZE[::-1], 100.0), 5.0)) is None
+    assert part_of(dim(kind), np.zeros(SIZE[::-1], np.uint8)) is None
+    assert part_of(dim(kind), noisy(np.full(SIZE[::-1], 100.0), 5.0)) is None
 
 
 def test_part_of_a_charuco_board_needs_neither_ends_nor_edges() -> None:
     target = board(MARKED, foreground=0.1, background=0.8)
     view = pose((10, 5, 0), (0, 0, 75))
-    found = target.detect_part(taken(target, view))
+    found = part_of(target, taken(target, view))
     assert found is not None
     expected = truth(target, plane_homography(CAMERA, view))
     assert len(found.ids) < len(expected)

@@ -9,7 +9,8 @@ from enum import StrEnum
 
 from drivers.emulators.grbl.drive import DEFAULTS, Drive, GrblSettings, Rail
 from drivers.emulators.grbl.gcode import AxisPositions, GcodeError, Modes, Move, interpret, read_block
-from drivers.stage_grbl.lines import AXES, MM_PER_INCH
+from drivers.stage_grbl.lines import AXES
+from fpplab.core.units import MM_PER_INCH
 
 VERSION, BUILD = "1.1f", "1.1f.20170801"
 RX_BYTES, LINE_CHARACTERS, PLANNED_MOVES = 128, 80, 15

@@ -8,7 +8,8 @@ a real controller. Everything else is refused as unsupported (error 20).
 import re
 from dataclasses import dataclass
 
-from drivers.stage_grbl.lines import AXES, MM_PER_INCH
+from drivers.stage_grbl.lines import AXES
+from fpplab.core.units import MM_PER_INCH
 
 AxisPositions = tuple[float, float, float]  # X, Y and Z in mm
 ORIGIN: AxisPositions = (0.0, 0.0, 0.0)
