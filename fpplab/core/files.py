@@ -213,13 +213,17 @@ def replace_file(draft: Path, path: Path) -> None:
             return
 
 
+DRAFT_END = re.compile("[a-z0-9_]{8}")  # of tempfile's names
+
+
 def sweep_file_drafts(path: Path) -> None:
     """Take away drafts of a file whose process was killed while it wrote."""
     # The draft that another process writes is locked, and stays.
-    draft = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}")
+    start = f".{path.name}."
     with suppress(OSError):  # whether the folder can be written shows when writing
-        for name in [name for name in os.listdir(path.parent) if draft.fullmatch(name)]:
-            _remove_unlocked(path.with_name(name))
+        for name in [name for name in os.listdir(path.parent) if name.startswith(start)]:
+            if DRAFT_END.fullmatch(name, len(start)):
+                _remove_unlocked(path.with_name(name))
 
 
 def _remove_unlocked(draft: Path) -> None:
