@@ -16,11 +16,15 @@ from tests.support import commands
 
 PRETENDING = "from tests.core.windows import pretend; pretend()\n"
 """Begins every Python process of a command, the twin's Blender too."""
-TIMED = {"journal.jsonl", "match.jsonl", "origin.yaml", "result.json", "verdict.yaml"}
+TIMED = {
+    *("calibration.yaml", "demo.json", "files.jsonl", "journal.jsonl", "match.jsonl", "origin.yaml"),
+    "verdict.yaml",
+}
 """Files that tell when and in how many seconds they came about, as pages do; logs tell nothing else."""
 TIMES = re.compile(
-    rb'\d{4}-\d\d-\d\d[T ][\d:.+]+(Z| UTC)?|"(host_time_s|seconds)": [\d.e+-]+|\b[\d.]+ s\b'
+    rb'\d{4}-\d\d-\d\d[T ][\d:.+]+(Z| UTC)?|"(host_time_s|seconds)": [\d.e+-]+|\b[\d.]+ (?:s|min)\b'
     rb'|data:(?:text/csv|application/json)[^"]*'  # tables of pages, which are in them as text too
+    rb'|"calibration\.yaml", "sha256": "\w+"'
 )
 
 
