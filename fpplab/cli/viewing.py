@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 from contextlib import AbstractContextManager
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -22,7 +21,12 @@ if TYPE_CHECKING:
     from fpplab.devices import Frame
     from fpplab.patterns.plan import Plan
     from fpplab.phase import Decoded
+    from fpplab.viewer.acceptance import AcceptanceView
     from fpplab.viewer.canvas import CommandView
+    from fpplab.viewer.characterisation import CharacterisationView
+    from fpplab.viewer.measurement import MeasurementView
+    from fpplab.viewer.response import ResponseView
+    from fpplab.viewer.search import SearchView
     from fpplab.viewer.server import ViewerPlace
     from fpplab.viewer.viewer import Viewer
 
@@ -75,19 +79,13 @@ class ConsoleObserver(Observer):
 class ViewObserver(ConsoleObserver):
     """Shows a workflow in the viewer, too, where there is one."""
 
-    VIEW: ClassVar[str]  # its class and module, which loads what draws
-
     def __init__(self, viewer: Viewer[Any] | None) -> None:
         self._viewer = viewer
 
-    @classmethod
-    def view(cls) -> Any:
-        module, _, name = cls.VIEW.rpartition(".")
-        return getattr(import_module(f"fpplab.viewer.{module}"), name)
-
-    def _show(self, method: str, *shown: object) -> None:
-        if self._viewer is not None:
-            self._viewer.show(getattr(self.view(), method), *shown)
+    @staticmethod
+    def view() -> Any:
+        """Load the class that draws; asked for only where there is a viewer."""
+        raise NotImplementedError
 
     def _show_frame(self, frame: Frame, *place: object) -> None:
         if self._viewer is not None:
@@ -99,85 +97,111 @@ class ViewObserver(ConsoleObserver):
 class MeasurementObserver(ViewObserver):
     """Shows a measurement; says whether to believe a scan's points, before its report is drawn."""
 
-    VIEW = "measurement.MeasurementView"
     _has_maps = False
 
+    @staticmethod
+    def view() -> type[MeasurementView]:
+        from fpplab.viewer.measurement import MeasurementView
+
+        return MeasurementView
+
     def plan(self, plan: Plan, size: tuple[int, int], lattice: Lattice) -> None:
-        self._show("plan", plan, size, lattice)
+        if self._viewer is not None:
+            self._viewer.show(self.view().plan, plan, size, lattice)
 
     def calibration(self, calibration: Calibration) -> None:
-        self._show("calibration", calibration)
+        if self._viewer is not None:
+            self._viewer.show(self.view().calibration, calibration)
 
     def frame(self, frame: Frame) -> None:
         self._show_frame(frame)
 
     def maps(self, decoded: Decoded) -> None:
         self._has_maps = True
-        self._show("maps", decoded)
+        if self._viewer is not None:
+            self._viewer.show(self.view().maps, decoded)
 
     def result(self, result: object) -> None:
         from fpplab.results.scan import ScanResult
 
-        if isinstance(result, ScanResult):
-            if not result.diagnosis.is_useless:
-                self.message(result.diagnosis.sentence)
-            if result.cloud is not None:
-                decoded = None if self._has_maps else result.decoded
-                self._show("results", decoded, result.cloud, result.depth, None)
+        if isinstance(result, ScanResult) and not result.diagnosis.is_useless:
+            self.message(result.diagnosis.sentence)
+        if self._viewer is None:
             return
-        from fpplab.results.comparison import (
-            ComparisonResult,
-        )  # with libraries of meshes, which scans need not
+        from fpplab.results.comparison import ComparisonResult  # with libraries of meshes
 
-        if isinstance(result, ComparisonResult):
-            self._show("results", None, result.cloud, None, 1e3 * result.comparison.distances_mm)
+        if isinstance(result, ScanResult) and result.cloud is not None:
+            decoded = None if self._has_maps else result.decoded
+            self._viewer.show(self.view().results, decoded, result.cloud, result.depth, None)
+        elif isinstance(result, ComparisonResult):
+            errors_um = 1e3 * result.comparison.distances_mm
+            self._viewer.show(self.view().results, None, result.cloud, None, errors_um)
 
 
 class CharacterisationObserver(MeasurementObserver):
     """Shows poses and the fit."""
 
-    VIEW = "characterisation.CharacterisationView"
+    @staticmethod
+    def view() -> type[CharacterisationView]:
+        from fpplab.viewer.characterisation import CharacterisationView
+
+        return CharacterisationView
 
     def result(self, result: object) -> None:
         from fpplab.characterisation import Characterisation
 
-        if isinstance(result, Characterisation):
-            self._show("result", result)
+        if self._viewer is not None and isinstance(result, Characterisation):
+            self._viewer.show(self.view().result, result)
 
 
 class AcceptanceObserver(MeasurementObserver):
     """Shows the positions of a standard and the fits."""
 
-    VIEW = "acceptance.AcceptanceView"
+    @staticmethod
+    def view() -> type[AcceptanceView]:
+        from fpplab.viewer.acceptance import AcceptanceView
+
+        return AcceptanceView
 
     def result(self, result: object) -> None:
+        if self._viewer is None:
+            return
         from fpplab.comparison.acceptance import Acceptance
         from fpplab.pipeline.measuring import Reconstruction
 
         if isinstance(result, Reconstruction) and result.decoded and result.cloud:
-            self._show("position", result.session.path.name, result.decoded, result.cloud)
+            item = result.session.path.name
+            self._viewer.show(self.view().position, item, result.decoded, result.cloud)
         elif isinstance(result, Acceptance):
-            self._show("result", result)
+            self._viewer.show(self.view().result, result)
 
 
 class ResponseObserver(ViewObserver):
     """Shows grey levels and their fit."""
 
-    VIEW = "response.ResponseView"
+    @staticmethod
+    def view() -> type[ResponseView]:
+        from fpplab.viewer.response import ResponseView
+
+        return ResponseView
 
     def result(self, result: object) -> None:
         from fpplab.results.response import GreyLevelFrame, ResponseResult
 
         if isinstance(result, GreyLevelFrame):
             self._show_frame(result.frame, result.level)
-        elif isinstance(result, ResponseResult):
-            self._show("response", result.response)
+        elif self._viewer is not None and isinstance(result, ResponseResult):
+            self._viewer.show(self.view().response, result.response)
 
 
 class SearchObserver(ViewObserver):
     """Shows and prints the epochs of a search."""
 
-    VIEW = "search.SearchView"
+    @staticmethod
+    def view() -> type[SearchView]:
+        from fpplab.viewer.search import SearchView
+
+        return SearchView
 
     def result(self, result: object) -> None:
         from fpplab.optimisation.candidate_runner import SearchEpoch
@@ -188,10 +212,11 @@ class SearchObserver(ViewObserver):
                 f"epoch {result.number}, {result.step}: {result.measured} candidates; best {best.images} "
                 f"images, {best.surface_smcd_um:.2f} µm"
             )
-            self._show("epoch", result)
+            if self._viewer is not None:
+                self._viewer.show(self.view().epoch, result)
 
 
-def observe(
+def make_observer(
     context: typer.Context,
     kind: type[ViewObserver],
     requested: bool,

@@ -23,7 +23,13 @@ from fpplab.cli.app import (
     app,
 )
 from fpplab.cli.completion import config_option, option
-from fpplab.cli.viewing import CharacterisationObserver, ConsoleObserver, KeepOpen, ViewOption, observe
+from fpplab.cli.viewing import (
+    CharacterisationObserver,
+    ConsoleObserver,
+    KeepOpen,
+    ViewOption,
+    make_observer,
+)
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.lattice import Lattice
 from fpplab.core.units import length_mm
@@ -223,7 +229,7 @@ def characterise_command(
         marks=marks,
         marks_target=Target.load(marks_target) if marks else None,
     )
-    observer = observe(context, CharacterisationObserver, view, keep_open, out.with_suffix(".rrd"))
+    observer = make_observer(context, CharacterisationObserver, view, keep_open, out.with_suffix(".rrd"))
     console.print_result(run_characterisation(request, observer).summary(), json)
 
 

@@ -10,7 +10,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, ReportOption, app
 from fpplab.cli.completion import existing_data, option
-from fpplab.cli.viewing import KeepOpen, MeasurementObserver, ViewOption, observe
+from fpplab.cli.viewing import KeepOpen, MeasurementObserver, ViewOption, make_observer
 
 if TYPE_CHECKING:
     from fpplab.results.comparison import ComparisonResult
@@ -64,7 +64,7 @@ def compare_command(
     request = ComparisonRequest(cloud, mesh, align, calibration, out, page, force)
     written = page or out
     recording = written.with_suffix(".rrd") if written else None
-    observer = observe(context, MeasurementObserver, view, keep_open, recording)
+    observer = make_observer(context, MeasurementObserver, view, keep_open, recording)
     result = run_comparison(request, observer)
     console.print_result(result.summary(), json, lambda: _show(result))
 

@@ -7,7 +7,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, Out, PlanName, RigName, app
 from fpplab.cli.completion import option
-from fpplab.cli.viewing import KeepOpen, ResponseObserver, ViewOption, observe
+from fpplab.cli.viewing import KeepOpen, ResponseObserver, ViewOption, make_observer
 
 
 @app.command("gamma", rich_help_panel=PREPARE)
@@ -52,7 +52,7 @@ def gamma_command(
         force=force,
     )
     check_gamma_output(request)
-    observer = observe(context, ResponseObserver, view, keep_open, out.with_suffix(".rrd"))
+    observer = make_observer(context, ResponseObserver, view, keep_open, out.with_suffix(".rrd"))
     result = run_gamma(request, observer).summary()
     console.print_result(result, json, lambda: _show_response(result))
 

@@ -10,7 +10,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, CertificateFolder, Force, Json, RigName, app
 from fpplab.cli.completion import config_option, option
-from fpplab.cli.viewing import KeepOpen, SearchObserver, ViewOption, observe
+from fpplab.cli.viewing import KeepOpen, SearchObserver, ViewOption, make_observer
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation.scope import SearchScope
 
@@ -90,7 +90,7 @@ def optimise_command(
         confirm=confirm,
         force=force,
     )
-    observer = observe(context, SearchObserver, view, keep_open, request.page.with_suffix(".rrd"))
+    observer = make_observer(context, SearchObserver, view, keep_open, request.page.with_suffix(".rrd"))
     result = run_optimisation(request, observer)
     answer = result.summary()
     console.print_verdict_and_result(result.diagnosis, str(out), answer, json, lambda: _show(answer))

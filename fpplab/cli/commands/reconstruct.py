@@ -20,7 +20,13 @@ from fpplab.cli.app import (
     app,
 )
 from fpplab.cli.completion import existing_data, option
-from fpplab.cli.viewing import ConsoleObserver, KeepOpen, MeasurementObserver, ViewOption, observe
+from fpplab.cli.viewing import (
+    ConsoleObserver,
+    KeepOpen,
+    MeasurementObserver,
+    ViewOption,
+    make_observer,
+)
 from fpplab.core.errors import ConfigError
 
 
@@ -89,7 +95,7 @@ def reconstruct_command(
         limits=load_limits(limits) if limits else None,
         calibration_file=calibration,
     )
-    observer = observe(context, MeasurementObserver, view, keep_open, out.with_suffix(".rrd"))
+    observer = make_observer(context, MeasurementObserver, view, keep_open, out.with_suffix(".rrd"))
     result = run_reconstruction(request, observer)
     result.require_usable()
     console.print_result(result.summary(), json)

@@ -25,7 +25,7 @@ from fpplab.cli.app import (
     app,
 )
 from fpplab.cli.completion import option
-from fpplab.cli.viewing import KeepOpen, MeasurementObserver, ViewOption, observe
+from fpplab.cli.viewing import KeepOpen, MeasurementObserver, ViewOption, make_observer
 from fpplab.core.errors import ConfigError
 from fpplab.core.progress import no_progress
 from fpplab.core.session_names import RECORDING
@@ -104,7 +104,7 @@ def _scan_here(context: typer.Context, rig: str, order: ScanOrder, watching: Wat
     if watching.dry_run:
         console.print_result(preview_scan(request), json)
         return
-    observer = observe(context, MeasurementObserver, watching.view, watching.keep_open, out / RECORDING)
+    observer = make_observer(context, MeasurementObserver, watching.view, watching.keep_open, out / RECORDING)
     result = run_scan(request, observer)
     result.require_usable()
     console.print_result(result.summary(), json)

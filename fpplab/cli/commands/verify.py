@@ -11,7 +11,7 @@ from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, PlanName, app
 from fpplab.cli.completion import config_option, option
 from fpplab.cli.lists import VariadicOptionsCommand
-from fpplab.cli.viewing import AcceptanceObserver, KeepOpen, ViewOption, observe
+from fpplab.cli.viewing import AcceptanceObserver, KeepOpen, ViewOption, make_observer
 
 if TYPE_CHECKING:
     from fpplab.comparison.acceptance import Acceptance
@@ -84,7 +84,7 @@ def verify_command(
         calibration_file=calibration,
     )
     check_acceptance_input(request)
-    observer = observe(context, AcceptanceObserver, view, keep_open, out.with_suffix(".rrd"))
+    observer = make_observer(context, AcceptanceObserver, view, keep_open, out.with_suffix(".rrd"))
     result = run_acceptance(request, observer)
     acceptance = result.acceptance
     console.print_verdict_and_result(

@@ -177,19 +177,6 @@ def test_the_first_pattern_needs_a_trigger_and_an_image(first: Entry) -> None:
         check_sequence(program(first))
 
 
-def test_patterns_that_share_a_pulse_share_its_exposure() -> None:
-    shared = Entry(1, 8, share_trigger=True)
-    check_sequence(program(FIRST, shared, exposure=16_666, period=16_666))
-    with pytest.raises(ValueError, match="2 patterns share 16665 µs: at least 16666 µs"):
-        check_sequence(program(FIRST, shared, exposure=16_665, period=16_665))
-    with pytest.raises(ValueError, match="3 patterns share 16666 µs"):  # the first one counts as well
-        check_sequence(
-            program(FIRST, Entry(0, 1, share_trigger=True), shared, exposure=16_666, period=16_666)
-        )
-    with pytest.raises(ValueError, match="cannot stay high over inserted black"):
-        check_sequence(program(replace(FIRST, black_after=True), shared, exposure=20_000, period=20_000))
-
-
 # --- the video port
 
 
