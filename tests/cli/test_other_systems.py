@@ -22,9 +22,9 @@ TIMED = {
 }
 """Files that tell when and in how many seconds they came about, as pages do; logs tell nothing else."""
 TIMES = re.compile(
-    rb'\d{4}-\d\d-\d\d[T ][\d:.+]+(Z| UTC)?|"(host_time_s|seconds)": [\d.e+-]+|\b[\d.]+ (?:s|min)\b'
+    rb'\d{4}-\d\d-\d\d[T ][\d:.+]+(Z| UTC)?|"(host_time_s|seconds)": [\d.e+-]+|\b[\d.]+ s\b'
     rb'|data:(?:text/csv|application/json)[^"]*'  # tables of pages, which are in them as text too
-    rb'|"calibration\.yaml", "sha256": "\w+"'
+    rb'|"calibration\.yaml", "sha256": "\w+"|Calibration age</th>.*'
 )
 
 
