@@ -36,11 +36,12 @@ CHECKS = "fpplab.checks"
 """In a context's `meta`: what is called before the command, once all its words are understood."""
 
 
-def existing_config(kind: ConfigKind) -> Callable[[typer.Context, Any], Any]:
+def existing_config(kind: ConfigKind, **short: str) -> Callable[[typer.Context, Any], Any]:
+    # `short` gives names of files by shorter ones that the command knows
     def check(name: Any) -> None:
         from fpplab.core.config import find_config
 
-        find_config(name, kind)
+        find_config(short.get(name, name), kind)
 
     return _checked(check)
 

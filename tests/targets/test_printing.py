@@ -314,6 +314,11 @@ def run(*words: object) -> Result:
     return CliRunner().invoke(app, ["target", *map(str, words)])
 
 
+def test_reference_marks_have_a_short_name(tmp_path: Path) -> None:
+    assert run("marks", "--out", tmp_path / "marks.svg").exit_code == 0
+    assert (tmp_path / "marks.svg").is_file()
+
+
 @pytest.mark.whole_after(2)
 @pytest.mark.parametrize("name", ["target_paper", "target_slstudio", "target_charuco", "target_checkerboard"])
 @FORMATS

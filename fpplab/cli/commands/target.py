@@ -20,7 +20,7 @@ def target_command(
             metavar="TARGET",
             help="Target file, or the name of a target supplied with fpplab.",
             autocompletion=names_of("target"),
-            callback=existing_config("target"),
+            callback=existing_config("target", marks="target_marks"),
         ),
     ],
     out: Annotated[Path, option("--out --make", "Page to write: .pdf or .svg.")],
