@@ -346,6 +346,7 @@ class PartMotionLimits(NamedTuple):
     alone scatters by more than its own ramp."""
     margin_px: int = 64  # beyond tiles that move up to which pixels are looked at (chosen)
     block_pixels: int = 50_000  # pixels that are followed at a time (chosen: 100 MB)
+    max_patches: int = 3_000  # whose depths are looked for (chosen: seconds also of large cameras)
     patches: int = 200  # whose depths are looked for at a time (chosen: 100 MB)
     candidates_per_period: int = 8
     """Depths that are tried within a period of the finest fringes. Chosen: the right one is within π/8."""

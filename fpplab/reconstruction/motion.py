@@ -421,12 +421,18 @@ def _start_in_range(follower: _Follower, trials: Sequence[Floats], few: Pixels) 
 
 
 def _with_likely_depths(follower: _Follower, moved: Floats, pixels: Pixels) -> _Follower:
-    """The same with the most likely depths of patches about the pixels."""
+    """The same with the most likely depths of patches about the pixels, and of those nearest to others."""
     depth, side = follower.depth.copy(), MOTION.patch_px
-    patches = _patches(np.unique(pixels // side, axis=0) * side + side // 2, depth.shape)
+    squares = np.random.default_rng(0).permutation(np.unique(pixels // side, axis=0))[: MOTION.max_patches]
+    patches = _patches(squares * side + side // 2, depth.shape)
     for first in range(0, len(patches), MOTION.patches * side**2):
         block = patches[first : first + MOTION.patches * side**2]
         depth[tuple(block.T)] = follower.likely(block, moved)[0]
+    unknown = np.ones(depth.shape, np.bool_)
+    unknown[tuple(patches.T)] = False
+    if unknown[own := tuple(pixels.T)].any():
+        nearest = scipy.ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
+        depth[own] = depth[tuple(nearest[(slice(None), *own)])]
     return follower.at_depth(depth)
 
 

@@ -11,6 +11,7 @@ from fpplab.core.progress import no_progress
 from fpplab.diagnosis import Diagnosis, diagnose_scan
 from fpplab.patterns.motion import Compensation, PartMotion
 from fpplab.phase import decode
+from fpplab.phase.limits import MOTION
 from fpplab.pipeline.measuring import triangulate_recording
 from fpplab.reconstruction.motion import (
     _fit,
@@ -19,6 +20,7 @@ from fpplab.reconstruction.motion import (
     _patches,
     _Region,
     _Tiles,
+    _with_likely_depths,
     compensate_motion,
 )
 from tests.diagnosis.scenes import Bench, plan_of
@@ -94,6 +96,17 @@ def test_likely_depths_are_those_of_the_part() -> None:
     depth, _ = follower.likely(patches, np.array(scene.moved_mm))
     off = np.abs(depth - points[..., 2][tuple(patches.T)])
     assert np.mean(off < 0.1) > 0.9
+
+
+def test_pixels_beside_patches_have_the_depth_of_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = MovingScene(PLANS["nine"], seed=SEED)
+    follower = _Follower(scene.recording(), scene.rig, np.full(scene.surface(0.0)[2].shape, 300.0), 1.0)
+    monkeypatch.setattr("fpplab.reconstruction.motion.MOTION", MOTION._replace(max_patches=4))
+    pixels = np.argwhere(scene.surface(0.0)[2])
+    depth = _with_likely_depths(follower, np.zeros(3), pixels).depth
+    assert (depth[tuple(pixels.T)] > 400.0).all()
+    assert len(np.unique(depth[tuple(pixels.T)])) <= 4 * MOTION.patch_px**2
+    assert depth[0, 0] == 300.0
 
 
 @pytest.mark.whole
