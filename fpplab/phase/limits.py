@@ -353,6 +353,8 @@ class PartMotionLimits(NamedTuple):
     refined_orders: int = 4  # of them that are refined and compared (chosen)
     place_steps: int = 3  # of its refinement (chosen: each leaves the square of the error before)
     rim_px: int = 2  # from the edge of a part, within which pixels are given up (chosen: as blur reaches)
+    max_alone_ratio: float = 2.5
+    """The same of one set from which on all sets tell the depth together. Chosen: orders then scatter."""
     max_noise_ratio: float = 10.0
     """Greatest increase of a coordinate's noise by uneven steps. Chosen: beyond it frames do not allow it."""
     min_followed_share: float = 0.5

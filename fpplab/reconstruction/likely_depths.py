@@ -4,6 +4,8 @@ At uneven steps a set may tell its phase badly, and orders by phases of single s
 all sets together still tell the depth within a range.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,13 +13,25 @@ from fpplab.core.conventions import Floats
 from fpplab.phase.limits import MOTION
 
 
-def likely_depths(levels: Floats, bent: Floats, sets: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Find the place of each pixel from -1 to 1, of one order in each patch, and what is left there.
+@dataclass(frozen=True, eq=False)
+class LikelyDepths:
+    """Where in the range each pixel most likely is, and what fits its levels there."""
+
+    place: Floats  # (P,) from -1 to 1
+    offset: Floats  # (P,)
+    modulation: Floats  # (N, P)
+    residual: Floats  # (N, P)
+    gap: Floats  # (P,) by how much more squares another order leaves in a patch
+    noise: Floats  # (P,) of the place, over that by even steps
+
+
+def likely_depths(levels: Floats, bent: Floats, sets: NDArray[np.intp]) -> LikelyDepths:
+    """Find the place of each pixel, of one order in each patch.
 
     `levels` (N, P) are of all frames, those of a patch one after another, `bent` (3, N, P) their phases in
     rad as coefficients of 1, place and its square, and `sets` (N,) the set of each, from 0.
     """
-    levels = levels - levels.mean(axis=0)
+    levels = levels - (middle := levels.mean(axis=0))
     fastest, contrast = np.abs(bent[1]).max(axis=0), np.ones((len(sets), 1))
     tried = int(np.ceil(MOTION.candidates_per_period * fastest.max() / np.pi)) + 2
     places = np.linspace(-1.0, 1.0, tried)
@@ -28,14 +42,16 @@ def likely_depths(levels: Floats, bent: Floats, sets: NDArray[np.intp]) -> tuple
         place = places[powers.argmin(axis=0)]
         powers[np.abs(places[:, None] - place) * fastest < 0.5 * np.pi] = np.inf
         for _ in range(MOTION.place_steps):
-            place, _, residual = _stepped(levels, bent, contrast, place)
+            place, _, residual, _ = _stepped(levels, bent, contrast, place)
         refined.append(place)
         left.append(_of_patches(np.sum(residual**2, axis=0)))
     place = np.take_along_axis(np.stack(refined), np.argmin(left, axis=0)[None], axis=0)[0]
     for _ in range(MOTION.place_steps):
-        place, values, residual = _stepped(levels, bent, contrast, place)
+        shown = contrast
+        place, values, residual, noise = _stepped(levels, bent, shown, place)
         contrast = _contrasts(levels, values, np.cos(_phases(bent, place)), residual, sets)
-    return place, residual
+    gap = MOTION.patch_px**2 * -np.subtract(*np.sort(left, axis=0)[:2])
+    return LikelyDepths(place, values[0] + middle, values[1] * shown, residual, gap, noise)
 
 
 def _of_patches(power: Floats) -> Floats:
@@ -54,18 +70,22 @@ def _left(levels: Floats, waves: Floats) -> Floats:
     return np.asarray(np.sum(levels**2, axis=0) - along**2 / np.maximum(np.sum(waves**2, axis=0), 1e-9))
 
 
-def _stepped(levels: Floats, bent: Floats, contrast: Floats, place: Floats) -> tuple[Floats, Floats, Floats]:
-    """One step of Gauss and Newton; with offset and modulation (2, P) before it, and what they leave."""
+def _stepped(
+    levels: Floats, bent: Floats, contrast: Floats, place: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """One step of Gauss and Newton; offset and modulation before it, what they leave, and its noise."""
     phase, slope = _phases(bent, place), bent[1] + 2.0 * place * bent[2]
     fit = np.stack([np.ones_like(phase), contrast * np.cos(phase)])
     inverse = np.linalg.inv(np.einsum("inp,jnp->pij", fit, fit) + 1e-9 * np.eye(2))
     values = np.einsum("pij,jnp,np->ip", inverse, fit, levels, optimize=True)
     residual = levels - np.einsum("ip,inp->np", values, fit)
+    even = 0.5 * np.sum((values[1] * contrast * slope) ** 2, axis=0)
     change = -values[1] * contrast * np.sin(phase) * slope
     change -= np.einsum("pij,jnp,np,imp->mp", inverse, fit, change, fit, optimize=True)
     limit = 0.5 / np.abs(bent[1]).max(axis=0)
-    step = np.sum(change * residual, axis=0) / np.maximum(np.sum(change**2, axis=0), 1e-9)
-    return np.clip(place + np.clip(step, -limit, limit), -1.0, 1.0), values, residual
+    own = np.maximum(np.sum(change**2, axis=0), 1e-9)
+    step = np.clip(np.sum(change * residual, axis=0) / own, -limit, limit)
+    return np.clip(place + step, -1.0, 1.0), values, residual, np.sqrt(even / own)
 
 
 def _contrasts(

@@ -28,7 +28,7 @@ from fpplab.phase import decode
 from fpplab.phase.common_errors import beyond_fringe
 from fpplab.phase.limits import COMMON_ERRORS, MOTION
 from fpplab.reconstruction.depth_range import decoding_bounds
-from fpplab.reconstruction.likely_depths import likely_depths
+from fpplab.reconstruction.likely_depths import LikelyDepths, likely_depths
 from fpplab.reconstruction.points import triangulate
 from fpplab.reconstruction.triangulation import camera_rays
 
@@ -254,8 +254,8 @@ class _Follower:
         near, far = recording.depth.mm
         return np.array([1.0 / near, 0.5 / near + 0.5 / far, 1.0 / far])
 
-    def likely(self, pixels: Pixels, moved: Floats) -> tuple[Floats, Floats]:
-        """Find the likeliest depths (P,) in mm of patches' pixels in that range, and residuals (N, P)."""
+    def likely(self, pixels: Pixels, moved: Floats) -> tuple[Floats, LikelyDepths]:
+        """Find the likeliest depths (P,) in mm of patches' pixels in that range."""
         assert self.inverse_depths is not None
         plan = self.recording.plan
         used = plan.sets_along(plan.axes[0])
@@ -265,12 +265,12 @@ class _Follower:
             ways = [self.ways(rays / inverse, moved, k) for k in used]
             phases.append(np.concatenate([phase - shifts for _, shifts, phase in ways]))
         (first, middle, last), (near, _, far) = phases, self.inverse_depths
-        place, left = likely_depths(
+        likely = likely_depths(
             np.concatenate([self.followed(pixels, moved, k)[0] for k in used]),
             np.stack([middle, 0.5 * (last - first), 0.5 * (last + first) - middle]),
             np.repeat(range(len(used)), [plan.fringes[k].images for k in used]),
         )
-        return 2.0 / (near + far + (far - near) * place), left
+        return 2.0 / (near + far + (far - near) * likely.place), likely
 
     @cached_property
     def compared(self) -> list[int]:
@@ -331,6 +331,14 @@ class _SetFit:
     def residual(self) -> Floats:
         offset, c, s = self.fitted
         return np.asarray(self.levels - offset - c * np.cos(self.shifts) - s * np.sin(self.shifts))
+
+    @cached_property
+    def noise_ratio(self) -> Floats:
+        """Noise of the phase, over that by even steps."""
+        _, c, s = self.fitted
+        along = np.stack([np.zeros_like(c), -s, c]) / np.maximum(np.hypot(c, s), 1e-9)
+        squares = np.einsum("ip,pij,jp->p", along, self.inverse, along)
+        return np.asarray(np.sqrt(0.5 * len(self.levels) * squares))
 
     def with_offset(self, offset: Floats, variance: Floats) -> _SetFit:
         """The same where the offset is known from all sets."""
@@ -411,7 +419,7 @@ def _start_in_range(follower: _Follower, trials: Sequence[Floats], few: Pixels) 
     follower = follower.at_depth(np.full(follower.depth.shape, 1.0 / follower.inverse_depths[1]))
 
     def cost(moved: Floats, patches: int) -> float:
-        left = follower.likely(_patches(few[:patches], follower.depth.shape), moved)[1]
+        left = follower.likely(_patches(few[:patches], follower.depth.shape), moved)[1].residual
         return float(np.median(np.sum(left**2, axis=0)))  # pixels that the part passed by do not count
 
     best = []
@@ -632,23 +640,67 @@ def _as_at_rest(follower: _Follower, regions: Sequence[_Region]) -> Recording:
     frames = [frame.copy() for frame in recording.frames]
     noise, left = np.ones(follower.depth.shape, np.float32), np.zeros(follower.depth.shape, np.float32)
     parts, passed = list[PartMotion](), np.zeros(noise.shape, np.bool_)
+    unknown = passed.copy()
     regions = [region.judged for region in regions]
     for region in regions:
-        part, ratio = _part_motion(follower, region)
+        together = _Together.of(follower, region)
+        part, ratio = _part_motion(follower, region, together)
         parts.append(part)
         if part.is_compensated:
             noise[region.mask], left[region.mask] = ratio, part.left_px
-            passed |= _follow(follower, region, frames) | region.swept
+            passed |= _follow(follower, region, frames, together) | region.swept
+            unknown[region.mask] = together is not None and ~together.certain
     # The outermost pixels of a part see what is behind it too, and that does not follow.
     rim = np.ones((2 * MOTION.rim_px + 1, 2 * MOTION.rim_px + 1))
     inner = [scipy.ndimage.binary_erosion(region.mask, rim) for region in regions]
-    passed &= ~np.any(inner, axis=0)
+    passed = unknown | passed & ~np.any(inner, axis=0)
     for frame in frames[1:]:
         frame[passed] = frames[0][passed]
     return replace(recording, frames=frames, motion=Compensation(tuple(parts), noise, left))
 
 
-def _follow(follower: _Follower, region: _Region, frames: list[Image]) -> Mask:
+@dataclass(frozen=True, eq=False)
+class _Together:
+    """What pixels of a part would show at rest where only all sets together tell it."""
+
+    shown: dict[int, Floats]  # levels (N, P) by set
+    noise: Floats  # (P,) of coordinates, over that by even steps
+    certain: Mask  # (P,) whose order is
+
+    @classmethod
+    def of(cls, follower: _Follower, region: _Region) -> _Together | None:
+        """None where sets tell their phases one by one."""
+        plan, pixels, moved = follower.recording.plan, np.argwhere(region.mask), region.moved
+        used, side = plan.sets_along(plan.axes[0]), MOTION.patch_px
+        fits = follower.fits(pixels[:: max(1, len(pixels) // MOTION.trial_pixels)], moved)
+        if follower.inverse_depths is None or all(
+            np.median(fits[k].noise_ratio) <= MOTION.max_alone_ratio for k in used
+        ):
+            return None
+        patches = _patches(np.unique(pixels // side, axis=0) * side + side // 2, region.mask.shape)
+        index = np.zeros(region.mask.shape, np.intp)
+        index[tuple(patches.T)] = np.arange(len(patches))
+        own, rays = index[tuple(pixels.T)], camera_rays(follower.calibration.camera)
+        shown, noise, gap = {k: list[Floats]() for k in used}, list[Floats](), list[Floats]()
+        for first in range(0, len(patches), MOTION.patches * side**2):
+            block = patches[first : first + MOTION.patches * side**2]
+            depth, likely = follower.likely(block, moved)
+            points, start = rays[tuple(block.T)] * depth[:, None], 0
+            for k in used:
+                steps = plan.fringes[k].phase_shifts()
+                frames = slice(start, start := start + len(steps))
+                phase = follower.ways(points, np.zeros(3), k)[2]
+                wave = likely.modulation[frames] * np.cos(phase - steps[:, None])
+                shown[k].append(likely.offset + wave + beyond_fringe(steps) @ likely.residual[frames])
+            noise.append(likely.noise)
+            gap.append(likely.gap)
+        variance = 4.0 * np.pi * (MOTION.blur_px * follower.noise) ** 2  # of a level that is not blurred
+        certain = np.concatenate(gap) > -2.0 * np.log(plan.masks.wrong_order_max) * variance
+        levels = {k: np.concatenate(each, axis=1)[:, own] for k, each in shown.items()}
+        return cls(levels, np.concatenate(noise)[own], certain[own])
+
+
+def _follow(follower: _Follower, region: _Region, frames: list[Image], together: _Together | None) -> Mask:
     """Write what frames of the part at rest would show; give the pixels where it was."""
     pixels, plan = np.argwhere(region.mask), follower.recording.plan
     own, top = tuple(pixels.T), full_scale(follower.recording.bits)
@@ -657,24 +709,27 @@ def _follow(follower: _Follower, region: _Region, frames: list[Image]) -> Mask:
         steps = plan.fringes[k].phase_shifts()
         shown = np.stack([np.ones_like(steps), np.cos(steps), np.sin(steps)], axis=1) @ fit.fitted
         shown += beyond_fringe(steps) @ fit.residual
+        if together is not None:
+            shown = together.shown.get(k, shown)
         first, end = plan.set_starts[k : k + 2]
         for frame, level, at in zip(frames[first:end], shown, fit.places, strict=True):
             frame[own] = np.clip(np.rint(level), 0, top).astype(frame.dtype)
             v, u = np.clip(np.rint(at).astype(int), 0, np.array(passed.shape) - 1).T
             passed[v, u] = True
-    return np.asarray(scipy.ndimage.binary_dilation(passed, np.ones((3, 3))))  # the lens blurs its edge
+    passed = scipy.ndimage.binary_dilation(passed, np.ones((3, 3)))  # the lens blurs its edge
+    return np.asarray(passed)
 
 
-def _part_motion(follower: _Follower, region: _Region) -> tuple[PartMotion, Floats]:
+def _part_motion(
+    follower: _Follower, region: _Region, together: _Together | None = None
+) -> tuple[PartMotion, Floats]:
     """What a part did, and how many times greater the noise of its pixels' coordinates gets (P,)."""
     plan, pixels, moved = follower.recording.plan, np.argwhere(region.mask), region.moved
     k = plan.finest_set(plan.axes[0])
     fringe, steps = plan.fringes[k], plan.fringes[k].phase_shifts()
     fit = follower.fits(pixels, moved)[k]
     _, c, s = fit.fitted
-    modulation = np.hypot(c, s)
-    along = np.stack([np.zeros_like(c), -s, c]) / np.maximum(modulation, 1e-9)
-    ratio = np.sqrt(0.5 * len(steps) * np.einsum("ip,pij,jp->p", along, fit.inverse, along))
+    modulation, ratio = np.hypot(c, s), fit.noise_ratio if together is None else together.noise
     phase = np.arctan2(s, c)
     off = np.angle((np.exp(1j * (steps[:, None] - phase)) * np.cos(phase - fit.shifts)).sum(axis=0))
     some = pixels[:: max(1, len(pixels) // MOTION.trial_pixels)]
