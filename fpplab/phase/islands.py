@@ -60,6 +60,7 @@ def find_islands(phase: Floats, sigma_rad: Floats, usable: Mask, window_px: floa
         contradictory |= np.isin(label, bad)
     label[contradictory] = 0
     _join(unwrapped, phase, right, down, label, count)
+    label[np.bincount(label.ravel())[label] < ISLANDS.min_pixels] = 0  # scraps are no other surface
     label[_meeting(right, down, label) | _beside_steps(right, down, label)] = 0
     for _ in range(ISLANDS.corner_px):
         label[_corners(label, usable)] = 0
