@@ -2,11 +2,14 @@
 
 import re
 import subprocess
+import sys
 import tomllib
+from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 
 import pytest
 import yaml
+from packaging.specifiers import SpecifierSet
 
 ROOT = Path(__file__).parents[2]
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
@@ -53,6 +56,20 @@ def test_the_changelog_has_this_version() -> None:
     headings = re.findall(r"^## \[(.+?)\](?: - (\d{4}-\d\d-\d\d))?$", text("CHANGELOG.md"), re.MULTILINE)
     assert headings[0] == ("Unreleased", "")
     assert version in [heading for heading, date in headings if date]
+
+
+def test_versions_that_were_tested_run_with_the_first_release_of_their_python() -> None:
+    """Debian 12 has Python 3.11.2: what needs a later one cannot be installed there."""
+    minor = f"{sys.version_info.major}.{sys.version_info.minor}"
+    too_new = {}
+    for name in re.findall(r"^([\w.-]+)==", text(f"constraints-{minor}.txt"), re.MULTILINE):
+        try:
+            needed = metadata(name).get("Requires-Python") or ""
+        except PackageNotFoundError:
+            continue  # of an extra that is not installed here, or of another system
+        if f"{minor}.0" not in SpecifierSet(needed):
+            too_new[name] = needed
+    assert too_new == {}
 
 
 def test_hooks_are_local() -> None:
