@@ -110,7 +110,7 @@ def test_pixels_beside_patches_have_the_depth_of_the_nearest(monkeypatch: pytest
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("fringes", [1.0, 2.0])
+@pytest.mark.parametrize("fringes", [1.0, pytest.param(2.0, marks=pytest.mark.nightly)])
 def test_a_part_whose_orders_depend_on_its_motion_is_compensated(fringes: float) -> None:
     """After two fringes one set shows two phases, and only both sets together tell the depth."""
     plan, direction = PLANS["nine"], DIRECTIONS["axial"]
