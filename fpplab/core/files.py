@@ -60,9 +60,8 @@ class DirectWriter(io.BufferedIOBase):
         unwritten = self._staged[: self._filled]
         while unwritten:
             unwritten = unwritten[os.write(self._handle, unwritten) :]
-            if (
-                unwritten
-            ):  # what is left does not begin at a block; without the cache the reason would be lost
+            if unwritten:
+                # What is left does not begin at a block; without the cache the reason would be lost.
                 _set_direct(self._handle, False)
         self._before += self._filled
         self._filled = 0
