@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from abc import ABC, abstractmethod
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -76,16 +77,16 @@ class ConsoleObserver(Observer):
         console.log_status(sentence)
 
 
-class ViewObserver(ConsoleObserver):
+class ViewObserver(ConsoleObserver, ABC):
     """Shows a workflow in the viewer, too, where there is one."""
 
     def __init__(self, viewer: Viewer[Any] | None) -> None:
         self._viewer = viewer
 
     @staticmethod
+    @abstractmethod
     def view() -> Any:
         """Load the class that draws; asked for only where there is a viewer."""
-        raise NotImplementedError
 
     def _show_frame(self, frame: Frame, *place: object) -> None:
         if self._viewer is not None:

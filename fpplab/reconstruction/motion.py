@@ -205,13 +205,17 @@ class _Follower:
         return [scipy.ndimage.spline_filter(each, output=np.float32) for each in levels]
 
     @cached_property
-    def points(self) -> Floats:
-        return camera_rays(self.calibration.camera) * self.depth[..., None]
+    def rays(self) -> Floats:
+        return camera_rays(self.calibration.camera)
+
+    def points(self, pixels: Pixels) -> Floats:
+        own = tuple(pixels.T)
+        return np.asarray(self.rays[own] * self.depth[own][:, None])
 
     def followed(self, pixels: Pixels, moved: Floats, k: int) -> tuple[Floats, Floats, Floats]:
         """Levels of set k where the pixels' points are seen, the shifts of these, and where that is."""
         # pixels (P, 2); moved (3,) mm over the scan; returns (N, P), (N, P) rad, (N, P, 2)
-        offsets, shifts, _ = self.ways(self.points[tuple(pixels.T)], moved, k)
+        offsets, shifts, _ = self.ways(self.points(pixels), moved, k)
         first, end = self.recording.plan.set_starts[k : k + 2]
         seen = offsets + pixels
         levels = [
@@ -242,7 +246,7 @@ class _Follower:
     def at_depth(self, depth: Floats) -> _Follower:
         """The same with another depth map."""
         other = replace(self, depth=depth)
-        other.__dict__["splines"] = self.splines
+        other.__dict__.update(rays=self.rays, splines=self.splines)
         return other
 
     @cached_property
@@ -259,7 +263,7 @@ class _Follower:
         assert self.inverse_depths is not None
         plan = self.recording.plan
         used = plan.sets_along(plan.axes[0])
-        rays = camera_rays(self.calibration.camera)[tuple(pixels.T)]
+        rays = self.rays[tuple(pixels.T)]
         phases = []
         for inverse in self.inverse_depths:
             ways = [self.ways(rays / inverse, moved, k) for k in used]
@@ -368,9 +372,7 @@ class _Region:
     swept: Mask  # those nearby that neither follow it nor stand still
     residual_ratio: float  # mean square of what it leaves, typically, over that of noise
     moving: Mask  # pixels of tiles that move
-    measured: Mask | None = (
-        None  # pixels that became points of a surface once compensated, when that is known
-    )
+    measured: Mask | None = None  # pixels that became points once compensated, when that is known
 
     @property
     def is_followed(self) -> bool:
@@ -503,10 +505,9 @@ def _runs_forward(follower: _Follower, moved: Floats, pixels: Pixels) -> bool:
         return follower.fits(at, moved)[k].fitted
 
     rig, axis = follower.calibration, AXES.index(plan.axes[0])
-    rays = camera_rays(rig.camera)
     depth = np.median(follower.depth[tuple(pixels.T)])
     here, next_ = (
-        rig.projector.project(depth * rays[tuple(at.T)], rig.T_projector_camera)[..., axis]
+        rig.projector.project(depth * follower.rays[tuple(at.T)], rig.T_projector_camera)[..., axis]
         for at in (ahead(0), ahead(1))
     )
     size = axis_length(follower.recording.projector_size, plan.axes[0])
@@ -581,7 +582,7 @@ def _start_displacements(follower: _Follower, tiles: _Tiles, group: int, pixels:
     curve = (powers / powers.min(axis=1, keepdims=True)).mean(axis=0)
     inner = np.flatnonzero((curve[1:-1] <= curve[:-2]) & (curve[1:-1] <= curve[2:])) + 1
     rates = [0.0, *tiles.rates[inner[np.argsort(curve[inner])[: MOTION.axial_trials]]]]
-    rig, points = follower.calibration, follower.points[tuple(pixels.T)]
+    rig, points = follower.calibration, follower.points(pixels)
     axis = AXES.index(follower.recording.plan.axes[0])
 
     def change(step: Floats) -> float:
@@ -680,12 +681,12 @@ class _Together:
         patches = _patches(np.unique(pixels // side, axis=0) * side + side // 2, region.mask.shape)
         index = np.zeros(region.mask.shape, np.intp)
         index[tuple(patches.T)] = np.arange(len(patches))
-        own, rays = index[tuple(pixels.T)], camera_rays(follower.calibration.camera)
+        own = index[tuple(pixels.T)]
         shown, noise, gap = {k: list[Floats]() for k in used}, list[Floats](), list[Floats]()
         for first in range(0, len(patches), MOTION.patches * side**2):
             block = patches[first : first + MOTION.patches * side**2]
             depth, likely = follower.likely(block, moved)
-            points, start = rays[tuple(block.T)] * depth[:, None], 0
+            points, start = follower.rays[tuple(block.T)] * depth[:, None], 0
             for k in used:
                 steps = plan.fringes[k].phase_shifts()
                 frames = slice(start, start := start + len(steps))

@@ -69,15 +69,17 @@ def fit_light(
     # with the others, so that they do not make up for it, and dropped.
     # Robust Gauss-Newton with at most `max_rounds` steps, each halved up to `max_halvings` times until it
     # lowers the cost.
-    def residuals(of: Twin) -> Floats:
-        whole = light_residuals(reference, of, samples)
+    def without(whole: Floats) -> Floats:
         return whole if also is None else whole - also * (dual @ whole)
+
+    def residuals(of: Twin) -> Floats:
+        return without(light_residuals(reference, of, samples))
 
     residual = light_residuals(reference, twin, samples)
     if also is not None:
         weighted = level_weights(residual)[0] * also
         dual = weighted / max(float(weighted @ also), 1e-12)
-        residual = residuals(twin)
+        residual = without(residual)
     sigma: dict[str, float] = {}
     for _ in range(LIMITS.max_rounds):
         gained, twin, residual, sigma = _fit_one_step(residuals, twin, names, samples, residual)
