@@ -43,6 +43,7 @@ SHARED = (
     "machine",
     "optimise_workers",
     "peak",
+    "predict",
     "virtual",
 )
 """Modules of this package that are no benchmarks of their own."""
@@ -58,7 +59,6 @@ SPEEDS = (
     "last_frame_to_cloud",
     "match",
     "optimise",
-    "predict",
     "projector",
     "service",
     "triangulate",
@@ -72,11 +72,11 @@ LONG = (
     "correction",
     "crash",
     "explanations",
+    "hidden_benches",
     "image_faults",
     "lengths",
     "optimise",
     "outside",
-    "predict",
     "predict_plans",
     "real_captures",
     "service_endurance",

@@ -6,10 +6,11 @@ measurements, which the bench makes afterwards. Further benches have an effect t
 others have (`benchmarks.hidden.foreign`). Seeds below `JUDGING` are for development.
 """
 
-import tempfile
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -36,10 +37,11 @@ from sim.matching.record import MatchingEpoch
 from sim.matching.run import MatchingListener, MatchingRequest, MatchingResult, match_sessions, twin_of
 from sim.parameters import ADJUSTABLE, TwinParameters
 from sim.prediction import MeasuredFigures, Prediction, predict
+from sim.prediction.intervals import FigureInterval
 
-JUDGING = 9420
+JUDGING = 9422
 """First seed of the benches that judge; to be run once a method is fixed. Seeds 5000 to 5011, 5100 to 5111,
-and 5200 to 5211 have been looked at since (docs/decisions/archive, records 53 to 55), and 9400 to 9416."""
+and 5200 to 5211 have been looked at since (docs/decisions/archive, records 53 to 55), and 9400 to 9421."""
 SIGMAS = 3.0
 MOST_POSES_UM, LEAST_PARAMETERS = 30.0, 0.95
 NEAR, LEAST_NEAR = 0.10, 0.90
@@ -93,22 +95,51 @@ class PredictSetup:
 FULL = PredictSetup()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class ComparedFigure:
+    """A predicted figure beside what the bench then measured."""
+
+    value: float  # predicted, with its interval of 95 %
+    low: float
+    high: float
+    measured: float
+
+    @classmethod
+    def of(cls, predicted: FigureInterval, measured: float) -> Self:
+        """Put a prediction beside the measurement."""
+        return cls(predicted.value, predicted.low, predicted.high, measured)
+
+    @property
+    def off(self) -> float:
+        """Relative error of the prediction."""
+        return abs(self.value / self.measured - 1.0)
+
+    @property
+    def is_covered(self) -> bool:
+        """Whether the interval holds what was measured."""
+        return self.low <= self.measured <= self.high
+
+
+@dataclass(frozen=True)
 class JudgedBench:
     """One hidden bench."""
 
     seed: int  # of the bench
+    kind: str | None = None  # of its foreign effect
     refused: str | None = None  # why nothing was predicted; the rest is then empty
-    is_good: bool = False  # what the matching says
+    verdict: str = ""  # what the matching says
+    is_good: bool = False  # whether it says good
     nearer: tuple[str, ...] = ()  # steps that it took back although they were nearer to the truth
-    poses_um: Floats = field(default_factory=lambda: np.zeros(0))  # (P,)
-    sigmas: dict[str, float] = field(default_factory=dict)
-    answers: dict[str, tuple[Prediction, MeasuredFigures]] = field(default_factory=dict)  # by question
+    poses_um: tuple[float, ...] = ()  # distances of the poses from the truth, relative to each other
+    placed_um: tuple[float, ...] = ()  # the same in the camera's frame
+    sigmas: dict[str, float] = field(default_factory=dict)  # errors over stated uncertainties, by parameter
+    answers: dict[str, dict[str, ComparedFigure]] = field(default_factory=dict)  # by question and figure
+    processor_s: float = 0.0  # time of the matching on all cores together
 
     @property
     def poses_rms_um(self) -> float:
         """RMS distance of the poses from the truth, relative to each other."""
-        return _rms(self.poses_um)
+        return _rms(np.array(self.poses_um))
 
     @property
     def within(self) -> float:
@@ -119,17 +150,6 @@ class JudgedBench:
     def is_believed_wrong(self) -> bool:
         """Whether the matching says good of a twin that is not."""
         return self.is_good and (self.poses_rms_um > MOST_POSES_UM or self.within < LEAST_PARAMETERS)
-
-
-def run() -> list[Result]:
-    """Measure predictions; the baselines are the targets. It takes some hours on two cores."""
-    with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
-        own = [judged(seed, Path(folder) / str(seed)) for seed in FULL.seeds]
-        foreign = [
-            judged(seed, Path(folder) / str(seed), kind=kind)
-            for seed, kind in enumerate(FULL.kinds, FULL.seeds[-1] + 1)
-        ]
-        return figures(own) + figures(foreign, "predict_foreign")
 
 
 def judged(seed: int, folder: Path, trial: PredictSetup = FULL, kind: str | None = None) -> JudgedBench:
@@ -144,25 +164,34 @@ def judged(seed: int, folder: Path, trial: PredictSetup = FULL, kind: str | None
         calibration = bench.calibration_of_board(plan.images)
         truth = replace(truth_of(bench.rig, bench.world), calibration=calibration)
         write_rig(nominal_world(bench.world), folder / "nominal", "Nominal twin")
+        begun = time.process_time()
         try:
             found = matched(folder, trial, sessions, {SHAPES[0]: part}, {PAINTED: painted}, response)
+            processor_s = time.process_time() - begun
             predicted = predictions(folder / "matched" / "rig.yaml", trial.questions)
         except FppError as error:
             console.log_status(f"{seed}: {error}")
-            return JudgedBench(seed, str(error))
+            return JudgedBench(seed, kind, str(error))
         known = found.reference.characterisation.calibration
-        answers = {
-            one.name: (predicted[one.name], _measured(bench, one, folder, known)) for one in trial.questions
-        }
+        answers = {}
+        for one in trial.questions:
+            measured, figures_of = _measured(bench, one, folder, known), predicted[one.name].figures
+            answers[one.name] = {
+                figure: ComparedFigure.of(figures_of[figure], getattr(measured, figure)) for figure in FIGURES
+            }
     parameters = found.matched.parameters
+    apart = [a.translation - b.translation for a, b in zip(parameters.poses, truth.poses, strict=True)]
     return JudgedBench(
-        seed,
-        None,
-        found.diagnosis.is_good,
-        tuple(steps_nearer_than_kept(found.matched.epochs, truth)),
-        poses_off_um(parameters.poses, truth.poses),
-        errors_in_sigmas(parameters, truth),
-        answers,
+        seed=seed,
+        kind=kind,
+        verdict=found.diagnosis.sentence,
+        is_good=found.diagnosis.is_good,
+        nearer=tuple(steps_nearer_than_kept(found.matched.epochs, truth)),
+        poses_um=tuple(poses_off_um(parameters.poses, truth.poses).tolist()),
+        placed_um=tuple((1e3 * np.linalg.norm(apart, axis=1)).tolist()),
+        sigmas=errors_in_sigmas(parameters, truth),
+        answers=answers,
+        processor_s=processor_s,
     )
 
 
@@ -209,7 +238,7 @@ def matched(
 
 
 def predictions(rig: Path, questions: Sequence[Question]) -> dict[str, Prediction]:
-    """Answer questions by a twin."""
+    """ComparedFigure questions by a twin."""
     with Rig.load(rig) as twin:
         return {one.name: predict(twin, one.loaded(), one.item) for one in questions}
 
@@ -259,7 +288,7 @@ def _parameter(calibration: Calibration, name: str) -> float:
     return float(np.array([fx, fy, cx, cy, *model.distortion])[INTRINSICS.index(term)])
 
 
-def figures(benches: Sequence[JudgedBench], prefix: str = "predict") -> list[Result]:
+def figures(benches: Sequence[JudgedBench], prefix: str) -> list[Result]:
     """Sum up hidden benches."""
     kept = [one for one in benches if one.refused is None]
     wrong, nearer = sum(one.is_believed_wrong for one in kept), sum(len(one.nearer) for one in kept)
@@ -277,20 +306,15 @@ def figures(benches: Sequence[JudgedBench], prefix: str = "predict") -> list[Res
         below(f"{prefix}_poses", poses, "µm", MOST_POSES_UM),
         above(f"{prefix}_parameters_within_3_sigma", within, "share", LEAST_PARAMETERS),
     ]
-    pairs = [
-        (question, figure, answer.figures[figure], getattr(measured, figure))
-        for one in kept
-        for question, (answer, measured) in one.answers.items()
-        for figure in FIGURES
-    ]
     for figure in FIGURES:
-        off = [abs(said.value / got - 1.0) for _, name, said, got in pairs if name == figure]
+        off = [answer[figure].off for one in kept for answer in one.answers.values()]
         near = float(np.mean(np.array(off) <= NEAR))
         results.append(above(f"{prefix}_{figure}_within_10_percent", near, "share", LEAST_NEAR))
     for question in kept[0].answers:
-        off = [abs(said.value / got - 1.0) for name, _, said, got in pairs if name == question]
+        off = [each.off for one in kept for each in one.answers[question].values()]
         results.append(below(f"{prefix}_{question}_off", float(np.median(off)), "relative", NEAR))
-    covered = float(np.mean([said.contains(got) for _, _, said, got in pairs]))
+    every = [each for one in kept for answer in one.answers.values() for each in answer.values()]
+    covered = float(np.mean([each.is_covered for each in every]))
     results += [
         above(f"{prefix}_intervals_cover", covered, "share", LEAST_COVERED),
         below(f"{prefix}_intervals_are_not_too_wide", covered, "share", MOST_COVERED),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.predict import (
+    ComparedFigure,
     JudgedBench,
     PredictSetup,
     errors_in_sigmas,
@@ -17,8 +18,6 @@ from fpplab.calibration.model import Uncertainty
 from fpplab.core.geometry import RigidTransform
 from sim.matching.record import MatchingEpoch, ParametersFile
 from sim.parameters import TwinParameters
-from sim.prediction import MeasuredFigures, Prediction
-from sim.prediction.intervals import FigureInterval
 from tests.support.plane_twin import nominal, tilted
 
 
@@ -72,24 +71,23 @@ def test_what_images_do_not_tell_is_not_judged() -> None:
     assert errors_in_sigmas(darker, truth) == pytest.approx({"ink": -2.0})
 
 
-def prediction(value: float) -> Prediction:
-    known = {
-        "distance_um": FigureInterval(value, 0.9 * value, 1.1 * value),
-        "noise_um": FigureInterval(1, 0.5, 2),
+def answers(value: float, distance: float) -> dict[str, ComparedFigure]:
+    return {
+        "distance_um": ComparedFigure(value, 0.9 * value, 1.1 * value, distance),
+        "noise_um": ComparedFigure(1.0, 0.5, 2.0, 1.3),
     }
-    return Prediction("part", known, 9, 1000, 64, None)
-
-
-def measured(distance: float) -> MeasuredFigures:
-    return MeasuredFigures(distance, 1.3, 1.0, 0.0)
 
 
 def test_shares_of_predictions_are_counted() -> None:
     one = JudgedBench(
-        1, None, True, ("noise",), np.array([10.0, 20.0, 60.0]), {"a": 1.0, "b": -4.0},
-        {"plan": (prediction(10.0), measured(10.5)), "pose": (prediction(10.0), measured(14.0))},
-    )  # fmt: skip
-    found = {result.name: result for result in figures([one, JudgedBench(2, "no")])}
+        1,
+        is_good=True,
+        nearer=("noise",),
+        poses_um=(10.0, 20.0, 60.0),
+        sigmas={"a": 1.0, "b": -4.0},
+        answers={"plan": answers(10.0, 10.5), "pose": answers(10.0, 14.0)},
+    )
+    found = {result.name: result for result in figures([one, JudgedBench(2, refused="no")], "predict")}
     values = {name: result.value for name, result in found.items()}
     assert values == pytest.approx(
         {
@@ -109,7 +107,7 @@ def test_shares_of_predictions_are_counted() -> None:
     assert found["predict_refused"].ratio < 1
     assert found["predict_poses"].ratio == pytest.approx(30 / np.sqrt(4100 / 3))
     assert not replace(one, is_good=False).is_believed_wrong
-    assert len(figures([JudgedBench(2, "no")])) == 3
+    assert len(figures([JudgedBench(2, refused="no")], "predict")) == 3
 
 
 def test_steps_taken_back_are_judged_by_the_truth() -> None:
