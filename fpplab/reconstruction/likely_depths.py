@@ -35,22 +35,22 @@ def likely_depths(levels: Floats, bent: Floats, sets: NDArray[np.intp]) -> Likel
     fastest, contrast = np.abs(bent[1]).max(axis=0), np.ones((len(sets), 1))
     tried = int(np.ceil(MOTION.candidates_per_period * fastest.max() / np.pi)) + 2
     places = np.linspace(-1.0, 1.0, tried)
-    powers = np.stack([_of_patches(_left(levels, np.cos(_phases(bent, place)))) for place in places])
+    powers = np.stack([_of_patches(_misfit(levels, np.cos(_phases(bent, place)))) for place in places])
     # Depths between those tried may suit better than the best of these.
-    refined, left = list[Floats](), list[Floats]()
+    refined, misfits = list[Floats](), list[Floats]()
     for _ in range(MOTION.refined_orders):
         place = places[powers.argmin(axis=0)]
         powers[np.abs(places[:, None] - place) * fastest < 0.5 * np.pi] = np.inf
         for _ in range(MOTION.place_steps):
             place, _, residual, _ = _stepped(levels, bent, contrast, place)
         refined.append(place)
-        left.append(_of_patches(np.sum(residual**2, axis=0)))
-    place = np.take_along_axis(np.stack(refined), np.argmin(left, axis=0)[None], axis=0)[0]
+        misfits.append(_of_patches(np.sum(residual**2, axis=0)))
+    place = np.take_along_axis(np.stack(refined), np.argmin(misfits, axis=0)[None], axis=0)[0]
     for _ in range(MOTION.place_steps):
         shown = contrast
         place, values, residual, noise = _stepped(levels, bent, shown, place)
         contrast = _contrasts(levels, values, np.cos(_phases(bent, place)), residual, sets)
-    gap = MOTION.patch_px**2 * -np.subtract(*np.sort(left, axis=0)[:2])
+    gap = MOTION.patch_px**2 * -np.subtract(*np.sort(misfits, axis=0)[:2])
     return LikelyDepths(place, values[0] + middle, values[1] * shown, residual, gap, noise)
 
 
@@ -63,7 +63,7 @@ def _phases(bent: Floats, place: Floats | float) -> Floats:
     return np.asarray(bent[0] + place * (bent[1] + place * bent[2]))
 
 
-def _left(levels: Floats, waves: Floats) -> Floats:
+def _misfit(levels: Floats, waves: Floats) -> Floats:
     """Squares that an offset and a modulation above 0 leave of levels whose mean is 0."""
     waves = waves - waves.mean(axis=0)
     along = np.maximum(np.sum(levels * waves, axis=0), 0.0)
@@ -95,6 +95,6 @@ def _contrasts(
     power = np.sum(residual**2, axis=0)
     good = power <= np.median(power)
     shown = values[1, good] * waves[:, good]
-    alike, own = (np.sum(shown * each, axis=1) for each in (levels[:, good] - values[0, good], shown))
-    ratios = np.bincount(sets, alike) / np.maximum(np.bincount(sets, own), 1e-9)
+    crossed, own = (np.sum(shown * each, axis=1) for each in (levels[:, good] - values[0, good], shown))
+    ratios = np.bincount(sets, crossed) / np.maximum(np.bincount(sets, own), 1e-9)
     return np.asarray(np.maximum(ratios / ratios.mean(), 0.1)[sets][:, None])

@@ -13,16 +13,9 @@ from fpplab.patterns.motion import Compensation, PartMotion
 from fpplab.phase import decode
 from fpplab.phase.limits import MOTION
 from fpplab.pipeline.measuring import triangulate_recording
-from fpplab.reconstruction.motion import (
-    _fit,
-    _Follower,
-    _part_motion,
-    _patches,
-    _Region,
-    _Tiles,
-    _with_likely_depths,
-    compensate_motion,
-)
+from fpplab.reconstruction.following import Follower, fit_set, patches_about
+from fpplab.reconstruction.motion import _part_motion, compensate_motion
+from fpplab.reconstruction.moving_parts import MovingPart, MovingTiles
 from tests.diagnosis.scenes import Bench, plan_of
 
 SEED = 3
@@ -38,7 +31,7 @@ def test_parts_at_rest_are_left_alone() -> None:
 def test_motion_shows_in_tiles_of_sets_with_more_than_three_steps() -> None:
     for plan, shows in ((FOUR_STEPS, True), (plan_of(steps=(3, 3, 3)), False)):
         recording = MovingScene(plan, (0.0, 0.0, 5.0), SEED).recording()
-        assert (_Tiles.of(recording) is not None) == shows
+        assert (MovingTiles.of(recording) is not None) == shows
 
 
 @pytest.mark.whole
@@ -76,11 +69,11 @@ def test_sets_that_share_an_offset_tell_phases_at_nearly_even_ones(way: str) -> 
     displaced = 2.0 * period_mm(FOUR_STEPS, DIRECTIONS[way]) * DIRECTIONS[way]
     scene = MovingScene(FOUR_STEPS, (float(displaced[0]), float(displaced[1]), float(displaced[2])), SEED)
     points, _, part = scene.surface(scene.middle)
-    follower = _Follower(scene.recording(), scene.rig, points[..., 2], 1.0)
+    follower = Follower(scene.recording(), scene.rig, points[..., 2], 1.0)
     pixels = np.argwhere(part)[::50]
     alone, together = (
         np.median(fit.inverse[:, 1, 1] + fit.inverse[:, 2, 2])
-        for fit in (_fit(*follower.followed(pixels, displaced, 2)), follower.fits(pixels, displaced)[2])
+        for fit in (fit_set(*follower.followed(pixels, displaced, 2)), follower.fits(pixels, displaced)[2])
     )
     assert together < 0.2 * alone
 
@@ -91,8 +84,8 @@ def test_likely_depths_are_those_of_the_part() -> None:
     scene = MovingScene(plan, (0.0, 0.0, float(-period_mm(plan, direction))), SEED)
     points, _, part = scene.surface(scene.middle)
     level = np.full(part.shape, 450.0)
-    follower = _Follower(scene.recording(), scene.rig, level, 1.0)
-    patches = _patches(np.argwhere(binary_erosion(part, iterations=3))[::500], part.shape)
+    follower = Follower(scene.recording(), scene.rig, level, 1.0)
+    patches = patches_about(np.argwhere(binary_erosion(part, iterations=3))[::500], part.shape)
     depth, _ = follower.likely(patches, np.array(scene.moved_mm))
     off = np.abs(depth - points[..., 2][tuple(patches.T)])
     assert np.mean(off < 0.1) > 0.9
@@ -100,10 +93,10 @@ def test_likely_depths_are_those_of_the_part() -> None:
 
 def test_pixels_beside_patches_have_the_depth_of_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = MovingScene(PLANS["nine"], seed=SEED)
-    follower = _Follower(scene.recording(), scene.rig, np.full(scene.surface(0.0)[2].shape, 300.0), 1.0)
-    monkeypatch.setattr("fpplab.reconstruction.motion.MOTION", MOTION._replace(max_patches=4))
+    follower = Follower(scene.recording(), scene.rig, np.full(scene.surface(0.0)[2].shape, 300.0), 1.0)
+    monkeypatch.setattr("fpplab.reconstruction.following.MOTION", MOTION._replace(max_patches=4))
     pixels = np.argwhere(scene.surface(0.0)[2])
-    depth = _with_likely_depths(follower, np.zeros(3), pixels).depth
+    depth = follower.with_likely_depths(pixels, np.zeros(3)).depth
     assert (depth[tuple(pixels.T)] > 400.0).all()
     assert len(np.unique(depth[tuple(pixels.T)])) <= 4 * MOTION.patch_px**2
     assert depth[0, 0] == 300.0
@@ -126,8 +119,8 @@ def test_a_part_whose_orders_scatter_is_not_compensated() -> None:
     scene = MovingScene(FOUR_STEPS, (0.0, 0.0, displaced), SEED)
     points, _, part = scene.surface(scene.middle)
     part[:110] = part[130:] = False
-    follower = _Follower(scene.recording(), scene.rig, points[..., 2], 1.0)
-    region = _Region(np.array(scene.moved_mm), 1e-6 * np.eye(3), part, np.zeros_like(part), 1.0, part)
+    follower = Follower(scene.recording(), scene.rig, points[..., 2], 1.0)
+    region = MovingPart(np.array(scene.moved_mm), 1e-6 * np.eye(3), part, np.zeros_like(part), 1.0, part)
     for share, is_compensated in ((0.95, True), (0.5, False)):
         measured_pixels = np.random.default_rng(SEED).random(part.shape) < share
         motion, _ = _part_motion(follower, replace(region, measured=measured_pixels))
@@ -140,7 +133,7 @@ def test_a_part_of_which_little_follows_is_not_compensated() -> None:
     for rows, is_followed in ((3, True), (1, False)):
         mask = np.zeros_like(moving)
         mask[2 : 2 + rows] = True
-        region = _Region(np.zeros(3), np.eye(3), mask, mask, 1.0, moving)
+        region = MovingPart(np.zeros(3), np.eye(3), mask, mask, 1.0, moving)
         assert region.is_followed == is_followed
         assert region.judged.mask.sum() == (8 * rows if is_followed else moving.sum())
 
@@ -148,7 +141,7 @@ def test_a_part_of_which_little_follows_is_not_compensated() -> None:
 def test_pixels_that_a_part_passes_by_do_not_spoil_its_own() -> None:
     scene = MovingScene(FOUR_STEPS, (0.0, 0.0, 2.0 * period_mm(FOUR_STEPS, UPWARDS)), SEED)
     points, _, part = scene.surface(scene.middle)
-    follower = _Follower(scene.recording(), scene.rig, points[..., 2], 1.0)
+    follower = Follower(scene.recording(), scene.rig, points[..., 2], 1.0)
     every, moved = np.argwhere(np.ones_like(part)), np.array(scene.moved_mm)
     together = follower.residuals(every, moved, gains=False)[:, part.ravel()]
     alone = follower.residuals(np.argwhere(part), moved, gains=False)
