@@ -6,7 +6,7 @@ import sys
 from abc import ABC, abstractmethod
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import typer
 
@@ -77,10 +77,36 @@ class ConsoleObserver(Observer):
         console.log_status(sentence)
 
 
-class ViewObserver(ConsoleObserver, ABC):
-    """Shows a workflow in the viewer, too, where there is one."""
+class ScanConsole(ConsoleObserver):
+    """Also says whether to believe a scan's points, before its report is drawn."""
 
-    def __init__(self, viewer: Viewer[Any] | None) -> None:
+    def result(self, result: object) -> None:
+        from fpplab.results.scan import ScanResult
+
+        if isinstance(result, ScanResult) and not result.diagnosis.is_useless:
+            self.message(result.diagnosis.sentence)
+
+
+class SearchConsole(ConsoleObserver):
+    """Also prints the epochs of a search."""
+
+    def result(self, result: object) -> None:
+        from fpplab.optimisation.candidate_runner import SearchEpoch
+
+        if isinstance(result, SearchEpoch):
+            best = result.best.figures
+            self.message(
+                f"epoch {result.number}, {result.step}: {result.measured} candidates; best {best.images} "
+                f"images, {best.surface_smcd_um:.2f} µm"
+            )
+
+
+class ViewObserver(ConsoleObserver, ABC):
+    """Shows a workflow in the viewer, too."""
+
+    console: ClassVar[type[ConsoleObserver]] = ConsoleObserver  # what serves without a viewer
+
+    def __init__(self, viewer: Viewer[Any]) -> None:
         self._viewer = viewer
 
     @staticmethod
@@ -88,16 +114,24 @@ class ViewObserver(ConsoleObserver, ABC):
     def view() -> Any:
         """Load the class that draws; asked for only where there is a viewer."""
 
-    def _show_frame(self, frame: Frame, *place: object) -> None:
-        if self._viewer is not None:
-            from fpplab.viewer.measurement import ShownFrame
+    def result(self, result: object) -> None:
+        self.console().result(result)
+        self._show_result(result)
 
-            self._viewer.show_one_of_many(self.view().frame, *place, ShownFrame.of(frame))
+    @abstractmethod
+    def _show_result(self, result: object) -> None:
+        """Draw a result of this workflow; others are not for this view."""
+
+    def _show_frame(self, frame: Frame, *place: object) -> None:
+        from fpplab.viewer.measurement import ShownFrame
+
+        self._viewer.show_one_of_many(self.view().frame, *place, ShownFrame.of(frame))
 
 
 class MeasurementObserver(ViewObserver):
-    """Shows a measurement; says whether to believe a scan's points, before its report is drawn."""
+    """Shows a measurement."""
 
+    console = ScanConsole
     _has_maps = False
 
     @staticmethod
@@ -107,29 +141,21 @@ class MeasurementObserver(ViewObserver):
         return MeasurementView
 
     def plan(self, plan: Plan, size: tuple[int, int], lattice: Lattice) -> None:
-        if self._viewer is not None:
-            self._viewer.show(self.view().plan, plan, size, lattice)
+        self._viewer.show(self.view().plan, plan, size, lattice)
 
     def calibration(self, calibration: Calibration) -> None:
-        if self._viewer is not None:
-            self._viewer.show(self.view().calibration, calibration)
+        self._viewer.show(self.view().calibration, calibration)
 
     def frame(self, frame: Frame) -> None:
         self._show_frame(frame)
 
     def maps(self, decoded: Decoded) -> None:
         self._has_maps = True
-        if self._viewer is not None:
-            self._viewer.show(self.view().maps, decoded)
+        self._viewer.show(self.view().maps, decoded)
 
-    def result(self, result: object) -> None:
+    def _show_result(self, result: object) -> None:
+        from fpplab.results.comparison import ComparisonResult
         from fpplab.results.scan import ScanResult
-
-        if isinstance(result, ScanResult) and not result.diagnosis.is_useless:
-            self.message(result.diagnosis.sentence)
-        if self._viewer is None:
-            return
-        from fpplab.results.comparison import ComparisonResult  # with libraries of meshes
 
         if isinstance(result, ScanResult) and result.cloud is not None:
             decoded = None if self._has_maps else result.decoded
@@ -148,10 +174,10 @@ class CharacterisationObserver(MeasurementObserver):
 
         return CharacterisationView
 
-    def result(self, result: object) -> None:
+    def _show_result(self, result: object) -> None:
         from fpplab.characterisation import Characterisation
 
-        if self._viewer is not None and isinstance(result, Characterisation):
+        if isinstance(result, Characterisation):
             self._viewer.show(self.view().result, result)
 
 
@@ -164,9 +190,7 @@ class AcceptanceObserver(MeasurementObserver):
 
         return AcceptanceView
 
-    def result(self, result: object) -> None:
-        if self._viewer is None:
-            return
+    def _show_result(self, result: object) -> None:
         from fpplab.comparison.acceptance import Acceptance
         from fpplab.pipeline.measuring import Reconstruction
 
@@ -186,17 +210,19 @@ class ResponseObserver(ViewObserver):
 
         return ResponseView
 
-    def result(self, result: object) -> None:
+    def _show_result(self, result: object) -> None:
         from fpplab.results.response import GreyLevelFrame, ResponseResult
 
         if isinstance(result, GreyLevelFrame):
             self._show_frame(result.frame, result.level)
-        elif self._viewer is not None and isinstance(result, ResponseResult):
+        elif isinstance(result, ResponseResult):
             self._viewer.show(self.view().response, result.response)
 
 
 class SearchObserver(ViewObserver):
-    """Shows and prints the epochs of a search."""
+    """Shows the epochs of a search."""
+
+    console = SearchConsole
 
     @staticmethod
     def view() -> type[SearchView]:
@@ -204,17 +230,11 @@ class SearchObserver(ViewObserver):
 
         return SearchView
 
-    def result(self, result: object) -> None:
+    def _show_result(self, result: object) -> None:
         from fpplab.optimisation.candidate_runner import SearchEpoch
 
         if isinstance(result, SearchEpoch):
-            best = result.best.figures
-            self.message(
-                f"epoch {result.number}, {result.step}: {result.measured} candidates; best {best.images} "
-                f"images, {best.surface_smcd_um:.2f} µm"
-            )
-            if self._viewer is not None:
-                self._viewer.show(self.view().epoch, result)
+            self._viewer.show(self.view().epoch, result)
 
 
 def make_observer(
@@ -226,5 +246,5 @@ def make_observer(
 ) -> Observer:
     """Follow a workflow on stderr, and in the viewer where that is asked for."""
     if not (requested or keep_open):
-        return kind(None)
+        return kind.console()
     return kind(open_viewer(context, kind.view(), requested, keep_open, recording))

@@ -66,7 +66,7 @@ from fpplab.cli.viewing import MeasurementObserver
 from fpplab.results.scan import ScanResult
 result = object.__new__(ScanResult)
 vars(result).update(diagnosis=SimpleNamespace(is_useless=True), cloud=None)
-MeasurementObserver(None).result(result)
+MeasurementObserver.console().result(result)
 print("trimesh" in sys.modules)
 """
 
