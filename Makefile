@@ -34,7 +34,7 @@ $(READY): pyproject.toml constraints-3.11.txt constraints-3.13.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,dev]' \
 		--constraint constraints-$$($(BIN)/python -c 'import sys; print("%d.%d" % sys.version_info[:2])').txt
 	$(BIN)/python -m fpplab.core.system
-	$(BIN)/python -m sim.warmup
+	$(BIN)/python -m tests.support.warmup
 	touch $(READY)
 
 demo: setup

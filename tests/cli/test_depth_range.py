@@ -14,8 +14,8 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import MaskRules, Plan
 from fpplab.pipeline.decoding import checked_recording
 from fpplab.sessions.session import Session
-from sim.warmup import DISTANCE_MM, frames_of_plane, small_rig
 from tests.support.commands import Command
+from tests.support.warmup import DISTANCE_MM, frames_of_plane, small_rig
 
 RIG = small_rig()
 NEAR, FAR = DISTANCE_MM - 40.0, DISTANCE_MM + 40.0

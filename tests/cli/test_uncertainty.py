@@ -9,9 +9,9 @@ import pytest
 from fpplab.calibration.model import Calibration, Uncertainty
 from fpplab.clouds import load_cloud
 from fpplab.patterns.plan import Plan
-from sim.warmup import frames_of_plane, small_rig
 from tests.support.commands import Command
 from tests.support.recorded import frame
+from tests.support.warmup import frames_of_plane, small_rig
 
 BASELINE = small_rig().T_projector_camera.translation[[0, 2]]
 LONGER = Uncertainty(("T_projector_camera.x", "T_projector_camera.z"), 1e-6 * np.outer(BASELINE, BASELINE))

@@ -18,8 +18,8 @@ from fpplab.phase import Decoded, check_unwrapping, decode
 from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.phase.islands import find_islands
 from fpplab.pipeline.measuring import triangulate_recording
-from sim.warmup import SIZE as CAMERA
-from sim.warmup import small_rig
+from tests.support.warmup import SIZE as CAMERA
+from tests.support.warmup import small_rig
 
 WIDTH, STRIPES = 912, 40.0
 PERIOD = WIDTH / STRIPES

@@ -17,7 +17,7 @@ from fpplab.pipeline.depth import check_plan, plan_with_depth
 from fpplab.reconstruction.depth_range import decoding_bounds, depth_bounds
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS
 from fpplab.reconstruction.points import triangulate
-from sim.warmup import DISTANCE_MM, frames_of_plane, small_rig
+from tests.support.warmup import DISTANCE_MM, frames_of_plane, small_rig
 
 RIG = small_rig()
 NEAR, FAR = DISTANCE_MM - 40.0, DISTANCE_MM + 40.0

@@ -13,7 +13,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.reconstruction.points import points_of
-from sim.warmup import frames_of_plane, small_rig
+from tests.support.warmup import frames_of_plane, small_rig
 
 PLAN, RIG = Plan.load("plan_scan"), small_rig()
 PX_PER_TURN = 2200.0 * np.radians(0.1)

@@ -28,10 +28,10 @@ from fpplab.reconstruction.uncertainty import (
     point_covariance,
     with_uncertainty,
 )
-from sim.warmup import frames_of_plane, small_rig
 from tests.reconstruction.test_triangulation import CALIBRATION as DISTORTED
 from tests.reconstruction.test_triangulation import Maps, maps_of, plane, sphere
 from tests.support import rigs
+from tests.support.warmup import frames_of_plane, small_rig
 
 RIG = small_rig()
 ONE_AXIS, TWO_AXES = "plan_paper", "plan_board"

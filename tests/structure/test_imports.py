@@ -56,7 +56,7 @@ def test_the_contracts_hold(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "line"),
     [
-        ("fpplab/phase/quality.py", "import drivers.clock"),
+        ("fpplab/phase/precision.py", "import drivers.clock"),
         ("fpplab/optimisation/run.py", "import sim.twin"),
         ("fpplab/core/files.py", "import fpplab.patterns.plan"),
         ("fpplab/patterns/plan.py", "import fpplab.devices"),
@@ -107,7 +107,7 @@ def test_fpplab_names_nothing_above_it_in_a_string() -> None:
     ],
 )
 def test_an_import_by_string_is_noticed(line: str) -> None:
-    assert list(imports_by_string("fpplab/phase/quality.py", line))
+    assert list(imports_by_string("fpplab/phase/precision.py", line))
 
 
 @cache
@@ -123,7 +123,7 @@ def rooms() -> dict[str, frozenset[str]]:
     return {name: frozenset(to) for name, to in arrows.items()}
 
 
-APPLICATIONS = {"commands", "dataset", "matching", "prediction", "preview_scan", "warmup"}
+APPLICATIONS = {"commands", "dataset", "matching", "prediction", "preview_scan"}
 """Parts of `sim` that use the whole pipeline; the twin itself stands far below it."""
 
 

@@ -45,7 +45,7 @@ READ_LATE = {
     UNKNOWN_SHELL,
 }
 """Variables that no module reads while it is loaded, or that OpenCV, SDL and others set then."""
-NOT_LOADED = ("fpplab.__main__", "fpplab.viewer.process", "sim.warmup")
+NOT_LOADED = ("fpplab.__main__", "fpplab.viewer.process")
 """Programs of their own."""
 LONGEST_REQUEST = 1 << 20
 

@@ -1,4 +1,4 @@
-"""`python -m sim.warmup`: compile the kernels once, so that no measurement waits for it.
+"""`python -m tests.support.warmup`: compile the kernels once, so that no measurement waits for it.
 
 A small plane is encoded, decoded, triangulated and compared, a board is found, the twin sees its board, and a
 measurement is predicted; numba keeps what it compiled next to the sources. The set-up runs this, and after a

@@ -7,7 +7,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.reconstruction.points import triangulate
-from sim.warmup import (
+from tests.support.warmup import (
     DISTANCE_MM,
     SIZE,
     decode_code,
