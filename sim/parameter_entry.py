@@ -21,9 +21,7 @@ class ParameterEntry:
 
     doc: str  # what it is, with its unit
     path: str | None = None  # where a world has it
-    fit: FitRange | None = (
-        None  # None: not fitted by finite differences of images; of tuples that of each part
-    )
+    fit: FitRange | None = None  # None: not fitted by differences of images; of tuples that of each part
     parts: tuple[str, ...] = ()  # names of the numbers of a tuple
     effect: str | None = None  # parameter that is 0 in a twin without the effect that this one describes
     per_white: bool = False  # whether it is relative to the projector's white, which a + b = 1 makes 1

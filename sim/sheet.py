@@ -82,10 +82,8 @@ def _draw(
 ) -> tuple[NDArray[np.uint8], float]:
     across, down = np.array(ground.shape[::-1]) / np.array(target.size_mm)
     left, top, right, bottom = margins_mm
-    vertical, horizontal = (
-        (round(top * down), round(bottom * down)),
-        (round(left * across), round(right * across)),
-    )
+    vertical = (round(top * down), round(bottom * down))
+    horizontal = (round(left * across), round(right * across))
     wide = np.pad(ground, (vertical, horizontal), constant_values=255)
     paper, ink = target.background, target.foreground
     reflectance = np.float32(ink) + np.float32((paper - ink) / 255) * wide

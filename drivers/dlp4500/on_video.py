@@ -68,11 +68,9 @@ class OnVideo:
         self._display.close()
 
     def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
-        self._patterns, self._slots, self._displayed_image = (
-            patterns,
-            assign_slots(patterns, MAX_PATTERNS_IN_FRAME),
-            None,
-        )
+        self._patterns = patterns
+        self._slots = assign_slots(patterns, MAX_PATTERNS_IN_FRAME)
+        self._displayed_image = None
 
     def show(self, board: Controller, i: int) -> None:
         """Show one pattern in every frame, for the whole frame."""

@@ -39,9 +39,7 @@ class SyncLimits:
     # RMS misfit, as a share of the modulation, of frames in step besides noise: a response of gamma 0.5
     # leaves 0.03 beyond its second harmonic.
     misfit_in_step: float = 0.04
-    misfit_foreign: float = (
-        0.12  # beyond which the frames are not the plan's; chosen: six captures leave 0.02
-    )
+    misfit_foreign: float = 0.12  # beyond which frames are not the plan's; chosen: six captures leave 0.02
     # Logarithm of a likelihood ratio per pixel from which on a fault is concluded, and below which two
     # hypotheses explain the frames equally well; chosen.
     min_log_ratio: float = 3.0

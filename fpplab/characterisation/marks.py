@@ -104,10 +104,8 @@ def compare_marks(calibration: Calibration, marks: LocatedMarks, observed: Obser
     at = known.with_parameters(change.parameters)
     places = [PARAMETERS.index(name) for name in parameter_names(known.level)]
     whole, covariance = np.zeros(len(PARAMETERS)), np.zeros((len(PARAMETERS), len(PARAMETERS)))
-    whole[places], covariance[np.ix_(places, places)] = (
-        change.parameters - known.parameters(),
-        change.covariance,
-    )
+    whole[places] = change.parameters - known.parameters()
+    covariance[np.ix_(places, places)] = change.covariance
     updated = change.covariance + fitted.factor @ fitted.factor.T + np.outer(at.longer, at.longer)
     return MarksComparison(
         judge_as_fitted(known, [now]),

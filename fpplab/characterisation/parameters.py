@@ -141,9 +141,7 @@ class Model:
     drawn: Floats  # (P, 3) points of the board as drawn, in mm
     refined: bool = False  # whether the board's shape is estimated; otherwise it is taken as exact
     tolerance_mm: float | None = None  # from which the estimate of the errors of the board's points starts
-    scale_tolerance: float = (
-        0.0  # relative standard uncertainty of the board's scale, which no image determines
-    )
+    scale_tolerance: float = 0.0  # relative uncertainty of the board's scale, which no image determines
     image_sizes: tuple[ImageSize, ImageSize] | None = None  # (width, height) px
     limits: CharacterisationLimits = USUAL_LIMITS  # by which the fit is judged
     settings: BundleSettings = BundleSettings()  # of its iterations

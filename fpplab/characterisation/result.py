@@ -68,9 +68,7 @@ class Characterisation:
     solution: Solution | None = None  # all parameters as adjusted
     sizes: ErrorSizes | None = None  # standard deviations of the errors of each kind, as estimated
     model: Model | None = None  # what was fitted
-    validation: Validation | None = (
-        None  # calibrations from fewer poses compared with what the covariance predicts
-    )
+    validation: Validation | None = None  # calibrations from fewer poses, against the covariance's prediction
 
     @property
     def by_device(self) -> dict[str, DeviceResiduals]:

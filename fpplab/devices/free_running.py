@@ -10,9 +10,7 @@ from fpplab.core.conventions import Image
 from fpplab.core.errors import CapabilityError, DeviceTimeoutError
 from fpplab.devices.camera import Camera, CameraSettings, Frame, Trigger, are_settings_honoured
 
-CLOCK_S = (
-    1e-3  # by which a frame's time may lie ahead of the computer's (chosen: above the rounding of clocks)
-)
+CLOCK_S = 1e-3  # by which frames may lie ahead of the computer's time (chosen: above the rounding of clocks)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from fpplab.core.remembered import remembered
 from fpplab.diagnosis.finding import FaultCause, Finding
 from fpplab.diagnosis.limits import CountLimit, LimitsSection
 from fpplab.diagnosis.sample import FrameSample
-from fpplab.phase.quality import phase_uncertainty
+from fpplab.phase.precision import phase_uncertainty
 
 
 class FringeShapeLimits(LimitsSection):

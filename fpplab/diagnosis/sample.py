@@ -21,7 +21,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
 from fpplab.phase.common_errors import fit_sinusoids
 from fpplab.phase.error_model import ErrorModel, error_model_of
-from fpplab.phase.quality import phase_uncertainty
+from fpplab.phase.precision import phase_uncertainty
 
 MEDIAN = 0.6745  # median absolute value of a normal variable, in its standard deviations
 

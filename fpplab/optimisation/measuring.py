@@ -58,10 +58,8 @@ class RigEvaluator:
         by_position = calibrations or self.calibrations
         calibration = by_position.at(candidate.stage_mm, candidate.convergence_deg)
         shape = self._true_shape(name, candidate)  # may raise, so before anything is acquired
-        plan, decoded = (
-            candidate.plan(self._problem.start),
-            self._take_and_decode(name, candidate, seed, calibration),
-        )
+        plan = candidate.plan(self._problem.start)
+        decoded = self._take_and_decode(name, candidate, seed, calibration)
         return shape.score(decoded, plan, calibration)
 
     def compare(self, name: str, candidate: Candidate, seed: int) -> tuple[Cloud, Comparison]:

@@ -234,10 +234,8 @@ class TrueShape:
         true = calibration.projector.project(pose.apply(self._hits[on_shape]))
         bounds = []
         for values in true.T:
-            lower, upper = (
-                np.full(on_shape.shape, np.inf, np.float32),
-                np.full(on_shape.shape, -np.inf, np.float32),
-            )
+            lower = np.full(on_shape.shape, np.inf, np.float32)
+            upper = np.full(on_shape.shape, -np.inf, np.float32)
             lower[on_shape] = upper[on_shape] = values
             bounds.append((minimum_filter(lower, 3), maximum_filter(upper, 3)))
         return {"x": bounds[0], "y": bounds[1]}

@@ -137,10 +137,8 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
     """Judge whether a response is good enough for a plan."""
     # A plan that corrects its patterns is judged with that correction.
     curve = Curve(a=response.a, b=response.b, g=response.g, spline=response.spline)
-    ends, hidden = (
-        _curves_within_uncertainty(response, curve),
-        LIMITS.coverage * unexplained_phase_error(response),
-    )
+    ends = _curves_within_uncertainty(response, curve)
+    hidden = LIMITS.coverage * unexplained_phase_error(response)
 
     def px(axis: Axis, stripes: float, rad: float) -> float:
         return rad / TWO_PI * axis_length(size, axis) / stripes

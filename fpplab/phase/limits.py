@@ -415,9 +415,7 @@ class CodeLimits(NamedTuple):
     """Standard deviations of the blur that are tried on a sample of pixels. Chosen: a step of the square
     root of 2 changes what edges leave by less than noise."""
     sample_pixels: int = 2000  # pixels that tell blur and noise (chosen)
-    looked_at_pixels: int = (
-        100_000  # pixels that the sample is taken from (chosen: a fiftieth of them may see codes)
-    )
+    looked_at_pixels: int = 100_000  # pixels that the sample is taken from (chosen: a fiftieth may see codes)
     hull_chi2: float = 25.0
     """χ² up to which a coordinate is possible. Chosen: 5 sigma, since neighbouring fringes count on it."""
     usual_width_share: float = 0.9

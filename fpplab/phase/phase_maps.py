@@ -30,9 +30,7 @@ class PhaseMapSource:
     projector_size: tuple[int, int]  # (width, height) px
     x: Path | None = None  # along the projector's rows
     y: Path | None = None  # along its columns
-    period_px: float | None = (
-        None  # of the fringes, where values are absolute phases in rad; else they are px
-    )
+    period_px: float | None = None  # of the fringes, where values are phases in rad; else they are px
     sigma_px: float | None = None  # 1-sigma of the coordinates; by default measured from the maps
 
 

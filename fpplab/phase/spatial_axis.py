@@ -34,10 +34,8 @@ def unwrap_by_neighbours(
     """Unwrap the finest set along an axis."""
     index = recording.plan.finest_set(axis)
     measured = wrapped_phase(recording.of_set(index), recording.plan.fringes[index], errors.saturation)
-    usable, sigma_rad = (
-        usable_pixels(recording, measured, errors),
-        phase_sigma(recording, index, measured, errors),
-    )
+    usable = usable_pixels(recording, measured, errors)
+    sigma_rad = phase_sigma(recording, index, measured, errors)
     period_px = axis_length(recording.projector_size, axis) / recording.plan.fringes[index].stripes
     islands = find_islands(measured.phase.astype(np.float64), sigma_rad, usable)
     return placed(islands, recording, axis, period_px, sigma_rad, possible)

@@ -1,4 +1,4 @@
-"""The result of triangulating maps without a session."""
+"""The results of decoding a session to maps, and of triangulating maps without a session."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +8,39 @@ import numpy as np
 
 from fpplab.clouds import Cloud
 from fpplab.diagnosis import Diagnosis
+from fpplab.diagnosis.islands import island_counts
 from fpplab.phase import Decoded
+
+
+@dataclass(frozen=True, eq=False)
+class DecodingResult:
+    """Maps of projector coordinates, their verdict, and how long they took."""
+
+    name: str  # of the session, in messages
+    decoded: Decoded
+    diagnosis: Diagnosis
+    seconds: float
+    out: Path  # where the maps go
+    as_recorded: bool = False  # whether they were asked for whatever the verdict is
+
+    @property
+    def is_written(self) -> bool:
+        """Whether the maps are left: useless ones only where they were asked for as recorded."""
+        return bool(self.decoded.valid.any()) and (self.as_recorded or not self.diagnosis.is_useless)
+
+    def require_usable(self) -> None:
+        if not self.is_written:
+            self.diagnosis.require_usable(self.name, self._figures())
+
+    def summary(self) -> dict[str, Any]:
+        return {**self.diagnosis.summary(), **self._figures()}
+
+    def _figures(self) -> dict[str, Any]:
+        islands = island_counts(self.decoded)
+        figures: dict[str, Any] = {"valid": int(self.decoded.valid.sum()), "seconds": self.seconds}
+        if self.decoded.height_mm is not None:
+            figures["heights"] = int(np.isfinite(self.decoded.height_mm).sum())
+        return figures if islands is None else {**figures, "islands": islands}
 
 
 @dataclass(frozen=True, eq=False)

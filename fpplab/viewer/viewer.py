@@ -26,9 +26,7 @@ from fpplab.viewer.server import PROCESS_GROUP, ViewerPlace
 class ViewerTimeouts:
     """How long a command waits for its viewer once its own work is done; all chosen."""
 
-    finish_s: float = (
-        120.0  # to draw the queue and write the recording: a second, unless the computer is busy
-    )
+    finish_s: float = 120.0  # to draw the queue and write the recording: 1 s, unless the computer is busy
     idle_s: float = 10.0  # without any processor time used: the viewer hangs
     abort_s: float = 3.0  # instead of `finish_s` where the queue is discarded
 

@@ -84,10 +84,8 @@ def _restrict_to_window(blender_scene: Any, scene: RenderScene) -> None:
     render.use_border = render.use_crop_to_border = True
     # Blender cuts the border to whole pixels in single precision: aim at the inside of a pixel.
     render.border_min_x, render.border_max_x = (left + 0.25) / width, (right + 0.25) / width
-    render.border_min_y, render.border_max_y = (
-        (height - bottom + 0.25) / height,
-        (height - top + 0.25) / height,
-    )
+    render.border_min_y = (height - bottom + 0.25) / height
+    render.border_max_y = (height - top + 0.25) / height
 
 
 def _add_surface(blender_scene: Any, surface: Surface, ambient: float) -> None:

@@ -1,4 +1,4 @@
-"""A scene in Blender, rebuilt for every texture, so that no stale data can be rendered."""
+"""A scene in Blender, rebuilt for every texture, so that no stale data can be rendered; Cycles' devices."""
 
 from typing import Any
 
@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from sim.blender.building import add_scene, make_linear
 from sim.blender.camera import aim, compile_shader
-from sim.blender.processors import choose_cycles_device, runs_osl
 from sim.scene import (
     ALBEDO,
     COLOURS,
     DIRECT,
     POSITION,
     REFLECTANCE,
+    RenderRefused,
     RenderScene,
     RenderSettings,
     SubpixelView,
@@ -87,3 +87,44 @@ def _keep_passes(passes: dict[str, PixelBuffer]) -> None:
             passes[layer_pass.name] = pixels[::-1]  # Blender's bottom row is first
 
     cycles.CyclesRender.render = render_and_keep
+
+
+CPU, OPTIX = "CPU", "OPTIX"  # the kinds of device that run Open Shading Language
+
+
+def runs_osl(device: str) -> bool:
+    """Return whether a kind of device runs Open Shading Language, in which the camera is written."""
+    return device in (CPU, OPTIX)
+
+
+def choose_cycles_device(blender_scene: Any, device: str) -> None:
+    """Set a scene to render on every device of a kind."""
+    if device == CPU:
+        blender_scene.cycles.device = CPU
+        return
+    preferences = _preferences()
+    devices = _devices(preferences, device)
+    if not devices:
+        raise RenderRefused(
+            f"'render.device' is {device}, but there is no {device} device that Cycles can use; "
+            "set it to CPU, or install the device's driver"
+        )
+    preferences.compute_device_type = device
+    preferences.refresh_devices()
+    for entry in preferences.devices:
+        entry.use = entry.type == device
+    blender_scene.cycles.device = "GPU"
+
+
+def _preferences() -> Any:
+    addons = bpy.context.preferences.addons
+    if "cycles" not in addons:
+        bpy.ops.preferences.addon_enable(module="cycles")
+    return addons["cycles"].preferences
+
+
+def _devices(preferences: Any, device: str) -> list[Any]:
+    try:
+        return [entry for entry in preferences.get_devices_for_type(device) if entry.type == device]
+    except (ValueError, TypeError):  # this build of Blender does not know that kind
+        return []

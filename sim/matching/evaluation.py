@@ -41,10 +41,8 @@ class TwinEvaluation:
             )
         }
         if self.characterisation:
-            of_reference, of_twin = (
-                _rms_of_poses(reference.characterisation),
-                _rms_of_poses(self.characterisation),
-            )
+            of_reference = _rms_of_poses(reference.characterisation)
+            of_twin = _rms_of_poses(self.characterisation)
             for name, error in of_twin.items():
                 figures[name]["epsilon_d_px"] = of_reference[name] - error
         return figures

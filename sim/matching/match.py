@@ -221,11 +221,9 @@ def _make_steps_until_limit(state: _State, limits: MatchingLimits, observe: Epoc
     for number, step in enumerate(FIRST_STEPS, 1):
         if ended := _step_within(state, limits, observe, number, step):
             return ended
-    idle, number, repeated = (
-        0,
-        len(FIRST_STEPS),
-        [repeatable for repeatable in REPEATED_STEPS if repeatable.applies(state.at)],
-    )
+    idle = 0
+    number = len(FIRST_STEPS)
+    repeated = [repeatable for repeatable in REPEATED_STEPS if repeatable.applies(state.at)]
     while idle < limits.patience:
         before = _best(state.epochs[: number + 1])
         for step in _worth_trying(repeated, state.epochs[: number + 1], limits):

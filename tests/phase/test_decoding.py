@@ -13,7 +13,7 @@ from fpplab.patterns.plan import MaskRules, OrderVote, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode, wrapped_phase
 from fpplab.phase.kernels import _arctangent_in_turns
-from fpplab.phase.quality import coordinate_uncertainty, phase_uncertainty
+from fpplab.phase.precision import coordinate_uncertainty, phase_uncertainty
 
 SIZE = (912, 40)
 FULL16 = 65535

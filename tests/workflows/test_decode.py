@@ -7,9 +7,9 @@ import pytest
 from fpplab.devices import CameraSettings, Frame
 from fpplab.diagnosis import UselessScanError
 from fpplab.patterns.recording import Recording
-from fpplab.results.decoding import DecodingResult
+from fpplab.results.maps import DecodingResult
 from fpplab.sessions.session import Session
-from fpplab.workflows.decode import DecodingRequest, run_decoding
+from fpplab.workflows.maps import DecodingRequest, run_decoding
 from tests.phase.test_bent_phases import SIZE, bent
 from tests.support.commands import Command
 

@@ -10,7 +10,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.diagnosis import Verdict
 from fpplab.phase import Decoded
 from fpplab.pipeline.decoding import parse_known
-from fpplab.workflows.decode import DecodingRequest, run_decoding
+from fpplab.workflows.maps import DecodingRequest, run_decoding
 from fpplab.workflows.reconstruct import reconstruct
 from tests.phase.test_bent_phases import bent
 from tests.reconstruction.test_heights import BASELINE_MM, DISTANCE_MM, DOME, ONE, PERIOD_MM, RIG

@@ -14,13 +14,13 @@ import fpplab.workflows
 
 FOLDER = Path(fpplab.workflows.__path__[0])
 LIGHT = (
+    "calibrations",
     "check",
     "characterise",
     "compare",
-    "decode",
     "demo",
     "gamma",
-    "judge",
+    "maps",
     "optimise",
     "reconstruct",
     "scan",

@@ -280,7 +280,7 @@ def _correct(
     unused: Mapping[str, object],
 ) -> None:
     from fpplab.targets import Target
-    from fpplab.workflows.correct import CorrectionRequest, run_correction
+    from fpplab.workflows.calibrations import CorrectionRequest, run_correction
 
     _refuse_unused("--correct", unused)
     if not sessions:
@@ -300,7 +300,7 @@ def _combine(
     json: bool,
     unused: Mapping[str, object],
 ) -> None:
-    from fpplab.workflows.combine import CombinationRequest, run_combination
+    from fpplab.workflows.calibrations import CombinationRequest, run_combination
 
     _refuse_unused("--combine", unused, "calibrations")
     if out is None:
@@ -344,7 +344,7 @@ def _judge(
     json: bool,
     unused: Mapping[str, object],
 ) -> None:
-    from fpplab.workflows.judge import JudgementRequest, run_judgement
+    from fpplab.workflows.calibrations import JudgementRequest, run_judgement
 
     _refuse_unused("--judge", unused)
     if not sessions:

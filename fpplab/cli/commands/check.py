@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.setup.rig_check.check import RigCheck
-    from fpplab.workflows.check_board import BoardCheckRequest
+    from fpplab.workflows.check import BoardCheckRequest
 
 
 @app.command("check", rich_help_panel=PREPARE)
@@ -73,8 +73,7 @@ def check_command(
     from fpplab.calibration.model import Calibration
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
-    from fpplab.workflows.check import CheckRequest, run_check
-    from fpplab.workflows.check_board import BoardCheckRequest
+    from fpplab.workflows.check import BoardCheckRequest, CheckRequest, run_check
 
     if board:
         if steps or out or page or calibration is None:
@@ -107,7 +106,7 @@ def check_command(
 
 
 def _check_board(request: BoardCheckRequest, json: bool) -> None:
-    from fpplab.workflows.check_board import run_board_check
+    from fpplab.workflows.check import run_board_check
 
     result = run_board_check(request, ConsoleObserver())
 

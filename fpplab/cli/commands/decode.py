@@ -56,7 +56,7 @@ def decode_command(
     """
     from fpplab.diagnosis import load_limits
     from fpplab.pipeline.decoding import parse_known
-    from fpplab.workflows.decode import DecodingRequest, run_decoding
+    from fpplab.workflows.maps import DecodingRequest, run_decoding
 
     request = DecodingRequest(
         session,

@@ -107,11 +107,9 @@ def _is_loss_by_blur(evidence: Evidence, inside: Mask) -> bool:
     """Whether wider fringes lose little contrast there, as blur of few px has it, and stray light not."""
     sample, plan, wider = evidence.frames, evidence.plan, _wider_set(evidence)
     assert wider is not None
-    finest, widest, others = (
-        plan.finest_set(plan.axes[0]),
-        sample.widest.modulation,
-        sample.measured & ~inside,
-    )
+    finest = plan.finest_set(plan.axes[0])
+    widest = sample.widest.modulation
+    others = sample.measured & ~inside
     of_finest, of_wider = (
         np.log(np.median(share[others]) / max(float(np.median(share[inside])), 1e-3))
         for share in (sample.fits[k].modulation / np.maximum(widest, 1e-3) for k in (finest, wider))

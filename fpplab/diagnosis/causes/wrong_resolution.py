@@ -48,10 +48,8 @@ class WrongResolutionLimits(LimitsSection):
 def _find_moire(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     """Errors of the coordinate that repeat along the projector's pixels, but not with the fringes."""
     # A picture that is scaled before it is shown has places where it is off by up to half a pixel.
-    spectrum, limit = (
-        _strongest_moire(evidence.frames),
-        evidence.limits.of(WrongResolutionLimits).max_moire_px,
-    )
+    spectrum = _strongest_moire(evidence.frames)
+    limit = evidence.limits.of(WrongResolutionLimits).max_moire_px
     if spectrum is None:
         return
     cycles, amplitudes = spectrum

@@ -17,7 +17,7 @@ from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.plan import Plan
 from fpplab.phase.coded_axes import axes_by_codes, coded_coordinate
 from fpplab.phase.limits import CODES
-from fpplab.phase.quality import coordinate_uncertainty
+from fpplab.phase.precision import coordinate_uncertainty
 from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.setup.live.regions import REGIONS, region_medians
 

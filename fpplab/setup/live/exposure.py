@@ -63,10 +63,8 @@ class ExposureLimits:
         if plan.trigger == "stepped":
             return cls((shortest_s, longest_s), camera.gain_db, projector.period_s)
         shown_s = projector.bit_depths[max(projector.bit_depths)], projector.longest_s
-        shortest_s, longest_shown_s = (
-            max(shortest_s, shown_s[0] - camera.readout_s),
-            shown_s[1] - camera.readout_s,
-        )
+        shortest_s = max(shortest_s, shown_s[0] - camera.readout_s)
+        longest_shown_s = shown_s[1] - camera.readout_s
         return cls(
             (shortest_s, min(longest_s, longest_shown_s)),
             camera.gain_db,

@@ -42,9 +42,7 @@ from fpplab.setup.rig_check.exposure_shift import LIMITS as SHIFT_LIMITS
 from fpplab.setup.rig_check.exposure_shift import ExposureShift, find_exposure_shift
 from fpplab.setup.rig_check.marker import marker
 
-UNCERTAIN_EXCESS = (
-    1.0  # of frames that look out of step where another cause may be behind it (derived: at the limit)
-)
+UNCERTAIN_EXCESS = 1.0  # of frames out of step that another cause may explain (derived: at the limit)
 SLIPS = (OUT_OF_STEP, SLOW_DISPLAY, CAMERA_NOT_READY)
 """Causes that are concluded from levels that do not rise with the grey levels shown."""
 

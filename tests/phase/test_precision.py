@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fpplab.core.conventions import phase_steps
-from fpplab.phase.quality import coordinate_uncertainty, phase_uncertainty
+from fpplab.phase.precision import coordinate_uncertainty, phase_uncertainty
 
 PIXELS = 20_000
 
