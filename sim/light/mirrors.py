@@ -16,7 +16,7 @@ from sim.texture import MirrorTexture, Part, PatternTextures
 from sim.world import ProjectorWorld
 
 KEPT_BYTES = 1 << 27  # of the light of mirrors that is kept: of 32 patterns (chosen)
-TEXTURE_BYTES = 1 << 25  # of textures that are kept: of the same patterns on some poses (chosen)
+TEXTURE_BYTES = 1 << 26  # of textures that are kept: of what six poses are compared by (chosen)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,11 @@ from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import SceneState
 from sim.light import Light, ShownPattern
+from sim.matching.loss import board_mask, subsample_pixels
+from sim.matching.steps import SAMPLED_POSES
 from sim.parameters import TwinParameters
 from sim.sensor import SensorModel
+from sim.texture import MirrorTexture, PatternTextures
 from sim.twin import Twin
 from sim.worker import Blender
 from sim.world import World
@@ -386,3 +389,36 @@ def test_only_a_board_can_be_matched_and_only_bodies_have_a_mesh(twin: Twin) -> 
     with pytest.raises(ConfigError, match="is flat: only artefacts and parts have a mesh"):
         twin.mesh("card")
     assert twin.expected_of("card", _patterns(twin), SETTINGS).max() > 1000
+
+
+def test_textures_of_compared_poses_are_kept_from_one_set_of_parameters_to_the_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fit asks for all its poses with one parameter changed, and then for all with the next."""
+    twin = _twin(World.load(config.find_config("world_twin", "world")).binned(8))
+    twin = twin.with_parameters(replace(twin.parameters, projector_focus_mm=477.0))
+    poses, images = range(SAMPLED_POSES), (0, 4, 8, 10, 16, 20, 24, 26)
+    projector = twin.parameters.calibration.projector
+    patterns = make_patterns(Plan.load("plan_board"), projector.size, projector.lattice)
+    made: list[MirrorTexture] = []
+    make = MirrorTexture.textures
+
+    def counted(texture: MirrorTexture, *wanted: Any) -> PatternTextures:
+        made.append(texture)
+        return make(texture, *wanted)
+
+    monkeypatch.setattr(MirrorTexture, "textures", counted)
+    shown = tuple(patterns[n] for n in images)
+
+    def see(of: Twin) -> None:
+        camera = of.parameters.calibration.camera
+        for pose in poses:
+            board = board_mask(camera, of.parameters.poses[pose], of.target)
+            of.expected_at(pose, shown, SETTINGS, subsample_pixels(board, 500))
+
+    see(twin)
+    assert len(made) == SAMPLED_POSES
+    see(twin.with_parameters(replace(twin.parameters, ambient=0.02)))
+    assert len(made) == SAMPLED_POSES
+    see(twin.with_parameters(replace(twin.parameters, projector_blur=0.9)))
+    assert len(made) == 2 * SAMPLED_POSES
