@@ -167,18 +167,7 @@ class Effect(ABC, Generic[FieldsT_co]):
     characterises: ClassVar[bool] = False
 
     def own(self, section: EffectWorld | EffectProjector) -> FieldsT_co:
-        """Give the effect's own fields of a section of a world.
-
-        Parameters
-        ----------
-        section : EffectWorld or EffectProjector
-            The world itself, or its section `projector`.
-
-        Returns
-        -------
-        Document
-            The same section, as the model of the effect's fields.
-        """
+        """Give the effect's own fields of a world, or of its section `projector`."""
         kind = self.world_fields or self.projector_fields
         assert kind is not None
         assert isinstance(section, kind)
@@ -186,164 +175,55 @@ class Effect(ABC, Generic[FieldsT_co]):
 
     @abstractmethod
     def clear(self, data: dict[str, Any]) -> None:
-        """Take the effect out of a world; its parameters are then written into it.
-
-        Parameters
-        ----------
-        data : dict
-            Plain data of a world, changed in place.
-        """
+        """Take the effect out of a world's plain data, in place; its parameters are then written into it."""
 
     def mirror_light(self, projector: EffectProjector) -> NDArray[np.float32] | None:
-        """Compute how much light each mirror of the projector gets, in every frame.
-
-        Parameters
-        ----------
-        projector : EffectProjector
-            The simulated projector.
-
-        Returns
-        -------
-        numpy.ndarray or None
-            (rows, columns) factors; None for 1 everywhere.
-        """
+        """Compute factors (rows, columns) on the light of each mirror in every frame; None for 1."""
         return None
 
     def point_lamps(self, world: EffectWorld) -> tuple[PointLamp, ...]:
-        """Place lamps in the room, whose light falls on everything in view.
-
-        Parameters
-        ----------
-        world : EffectWorld
-            The simulated world.
-
-        Returns
-        -------
-        tuple of PointLamp
-            In the camera's frame.
-        """
+        """Place lamps in the room, in the camera's frame, whose light falls on everything in view."""
         return ()
 
     def displacement_size_mm(self, world: EffectWorld) -> float:
-        """Return how far the effect displaces the item.
-
-        Parameters
-        ----------
-        world : EffectWorld
-            The simulated world.
-
-        Returns
-        -------
-        float
-            RMS size of `displacement_mm`; 0 where the item stands still. Pictures are computed at this
-            distance, and those of other displacements to first order.
-        """
+        """Return the RMS size of `displacement_mm`; 0 where the item stands still."""
+        # Pictures are computed at this distance, and those of other displacements to first order.
         return 0.0
 
     def displacement_mm(
         self, world: EffectWorld, frame: FrameOfSequence, random: np.random.Generator
     ) -> Floats:
-        """Compute by how much the item is displaced in one frame.
-
-        Parameters
-        ----------
-        world : EffectWorld
-            The simulated world, which need not have the effect.
-        frame : FrameOfSequence
-            The frame.
-        random : numpy.random.Generator
-            Shared by all effects in their order.
-
-        Returns
-        -------
-        numpy.ndarray
-            (3,) in mm along the camera's axes, added to that of the other effects.
-        """
+        """Compute by how much (3,) in mm, along the camera's axes, the item is displaced in one frame."""
+        # The displacements of all effects are added, which share `random` in their order. The world need not
+        # have the effect.
         return np.zeros(3)
 
     def point_errors_px(self, world: EffectWorld) -> Floats | None:
-        """Return how large the errors of a board's points are.
-
-        Parameters
-        ----------
-        world : EffectWorld
-            The simulated world.
-
-        Returns
-        -------
-        numpy.ndarray or None
-            (2, 2) standard deviations in camera and projector, in px of each: of single points, and of the
-            smooth functions over the board that the points of a pose share. None for no errors.
-        """
+        """Return how large the errors of a board's points are; None for no errors."""
+        # returns (2, 2) standard deviations in camera and projector, in px of each: of single points, and of
+        # the smooth functions over the board that the points of a pose share
         return None
 
     def changes_light(self, world: EffectWorld) -> bool:
-        """Return whether frames of a world have light that changes by this effect.
-
-        Parameters
-        ----------
-        world : EffectWorld
-            The simulated world.
-
-        Returns
-        -------
-        bool
-            Where no effect of a world has any, `light_change` is not called.
-        """
+        """Return whether light changes by this effect; without any that does `light_change` is not called."""
         return False
 
     def light_change(
         self, world: EffectWorld, frame: FrameOfSequence, rows: NDArray[np.intp], random: np.random.Generator
     ) -> LightChange:
-        """Compute what the effect does to the light of one frame.
-
-        Parameters
-        ----------
-        world : EffectWorld
-            The simulated world, which need not have the effect.
-        frame : FrameOfSequence
-            The frame.
-        rows : numpy.ndarray
-            (R,) rows of the image that are wanted.
-        random : numpy.random.Generator
-            Of this frame, shared by all effects in their order. Draw the same number of values whatever the
-            world says, so that effects do not change each other's.
-
-        Returns
-        -------
-        LightChange
-            Factors, which are multiplied with those of the other effects.
-        """
+        """Compute factors on the light of one frame, in rows (R,); those of all effects are multiplied."""
+        # `random` is of this frame, and shared by all effects in their order: draw as many values whatever
+        # the world says, which need not have the effect, so that effects do not change each other's.
         return LightChange()
 
     def propose(self, at: StepContext[ParametersT]) -> ParametersT:
-        """Fit the effect to what was recorded of a bench: its step of a matching.
-
-        Parameters
-        ----------
-        at : StepContext
-            Recordings, the twin so far, and the fits that steps may use.
-
-        Returns
-        -------
-        MatchedParameters
-            To try. The step is kept where it does not raise `misfit`, or without one the loss.
-        """
+        """Fit the effect to what was recorded of a bench, as its step of a matching: parameters to try."""
+        # The step is kept where it does not raise `misfit`, or without one the loss.
         return at.parameters
 
     def misfit(self, at: StepContext[ParametersT]) -> float | None:
-        """Compute what the step is judged by.
-
-        Parameters
-        ----------
-        at : StepContext
-            Recordings and a twin, before the step or after it.
-
-        Returns
-        -------
-        float or None
-            Less is better, such as Schwarz's criterion; None where the loss decides.
-        """
+        """Compute what the step is judged by, the less the better; None where the loss decides."""
+        # such as Schwarz's criterion
         return None
 
     def is_in(self, parameters: MatchedParameters) -> bool:

@@ -96,44 +96,16 @@ class PatternSet(Document):
 
     @classmethod
     def completed(cls, entry: dict[str, Any], folder: Path) -> dict[str, Any]:
-        """Put what files in a folder hold into an entry of a plan file that names them.
-
-        Parameters
-        ----------
-        entry : dict
-            As it stands in the plan file.
-        folder : Path
-            Of the plan file.
-
-        Returns
-        -------
-        dict
-            By default the entry.
-        """
+        """Put what files in a plan's folder hold into an entry of the plan file that names them."""
         return entry
 
     @classmethod
     def guessed(
         cls, images: Sequence[NDArray[np.bool_]], edges: Sequence[int], axis: Axis | None, length: int
     ) -> dict[str, Any] | None:
-        """Guess a set of the kind from images of two levels.
-
-        Parameters
-        ----------
-        images : sequence of ndarray of bool, (P,) each
-            Whether lit pixels are bright.
-        edges : sequence of int
-            Changes between neighbouring pixels in each image.
-        axis : str or None
-            Along which the images change; None of even light.
-        length : int
-            Of the projector along the axis in px.
-
-        Returns
-        -------
-        dict or None
-            Fields of the set; by default None, as of what has other levels.
-        """
+        """Guess the fields of a set of the kind from images of two levels; None where it has others."""
+        # images: whether lit pixels (P,) are bright; edges: changes between neighbouring pixels in each;
+        # axis: along which they change, None of even light; length: of the projector along it in px
         return None
 
     @property
@@ -158,22 +130,8 @@ class PatternSet(Document):
 
     @abstractmethod
     def light(self, step: int, coordinate: Floats, length: int) -> Floats:
-        """Give the light of one image at projector coordinates, as it is shown.
-
-        Parameters
-        ----------
-        step : int
-            Index of the image in the set, 0 … N-1.
-        coordinate : ndarray of float64
-            Along the coded axis in px, any shape.
-        length : int
-            Of the projector along that axis in px.
-
-        Returns
-        -------
-        ndarray of float64
-            Light in [0, 1], shaped as `coordinate`.
-        """
+        """Give the light in [0, 1] of image `step`, 0 … N-1, as it is shown at coordinates in px."""
+        # along the coded axis, as the length of the projector is
 
     def level(self, step: int, size: tuple[int, int], lattice: Lattice) -> Floats:
         """Give one image (height, width) as light in [0, 1], not quantised, on a projector of this size."""
@@ -182,18 +140,9 @@ class PatternSet(Document):
         return self.light(step, u if axis == "x" else v, axis_length(size, axis))
 
     def waves(self, harmonics: int) -> Floats:
-        """Give what a pixel may see of the set besides its offset: the proof of synchronisation's axes.
-
-        Parameters
-        ----------
-        harmonics : int
-            Harmonics of a fringe that the response may leave, at least 1.
-
-        Returns
-        -------
-        ndarray of float64, (N, M)
-            By default every image may have any level, which proves nothing.
-        """
+        """Give what a pixel may see besides its offset, (N, M): the axes of the proof of synchronisation."""
+        # harmonics: those that the response may leave of a fringe, at least 1. By default every image may
+        # have any level, which proves nothing.
         return np.eye(self.images)
 
     def pattern_id(self, index: int, step: int) -> str:
@@ -202,15 +151,7 @@ class PatternSet(Document):
         return f"{index:02d}-{name}-{step:03d}of{self.images}"
 
     def other_orders(self) -> Iterator[tuple[str, NDArray[np.int64]]]:
-        """Give orders in which other programs show such images.
-
-        Yields
-        ------
-        str
-            What it means, and what to write in the plan.
-        ndarray of int64, (N,)
-            Indices of the images.
-        """
+        """Give orders (N,) in which other programs show such images, with their meaning and what to write."""
         yield from ()
 
     def finest_stripes(self, length: int) -> float:
@@ -246,30 +187,12 @@ class PeriodicSet(CodeSet):
 
     @abstractmethod
     def phase_shifts(self) -> Floats:
-        """Give the phase shift δ_n of every image in its order, as it was projected.
-
-        Returns
-        -------
-        ndarray of float64, (N,)
-            rad.
-        """
+        """Give the phase shift δ_n of every image in its order, as it was projected, (N,) in rad."""
 
     @abstractmethod
     def wave(self, phase: Floats, step: int) -> Floats:
-        """Give the level that one image shows at an absolute phase.
-
-        Parameters
-        ----------
-        phase : ndarray of float64
-            `2π stripes (u + 0.5)/W` in rad, any shape.
-        step : int
-            Index of the image in the set, 0 … N-1.
-
-        Returns
-        -------
-        ndarray of float64
-            Light in [0, 1], shaped as `phase`; neither clipped nor short of the range.
-        """
+        """Give the level in [0, 1] of image `step`, 0 … N-1, at phases `2π stripes (u + 0.5)/W` in rad."""
+        # neither clipped nor short of the range
 
     def light(self, step: int, coordinate: Floats, length: int) -> Floats:
         """Give `wave` at the phase of each coordinate."""
@@ -315,15 +238,7 @@ class FringeSet(PeriodicSet):
 
     @abstractmethod
     def demodulation(self) -> Demodulation:
-        """Give the weights with which images become phase, modulation and offset.
-
-        Called once for every decoding, both by the compiled decoder and by the reference.
-
-        Returns
-        -------
-        Demodulation
-            Weights of the N images.
-        """
+        """Give the weights with which images become phase, modulation and offset, once for every decoding."""
 
 
 class SteppedFringes(FringeSet):

@@ -60,36 +60,11 @@ class UnwrappingMethod(ABC):
 
     @abstractmethod
     def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
-        """Give every synthetic wavelength that unwrapping may pass through.
-
-        Called once for each coded axis of a plan, before anything is projected and again when decoding.
-
-        Parameters
-        ----------
-        sets : sequence of SyntheticWavelength
-            The fringe sets of the axis themselves, fewest stripes first.
-
-        Returns
-        -------
-        list of SyntheticWavelength
-            Fewest stripes first, the finest set last, no stripe count twice.
-        """
+        """Give every synthetic wavelength that unwrapping may pass through, once for each coded axis."""
+        # sets: those of the axis, fewest stripes first; the wavelengths too, the finest set last, none twice
 
     @abstractmethod
     def advice(self, stripes: Sequence[float], coarsest: float, max_stripes: float) -> str:
-        """Say what the method needs where its coarsest wavelength has too many stripes.
-
-        Parameters
-        ----------
-        stripes : sequence of float
-            Of the axis' sets, fewest first.
-        coarsest : float
-            Stripes of the coarsest wavelength that was found.
-        max_stripes : float
-            Stripes that the coarsest may have: 1, or more where the method is guided.
-
-        Returns
-        -------
-        str
-            A clause that goes on after "… stripes: ", with stripe counts that would do.
-        """
+        """Say what the method needs where its coarsest wavelength has too many stripes."""
+        # It goes on after "… stripes: ", with counts that would do. The coarsest may have `max_stripes`: 1,
+        # or more where the method is guided.
