@@ -89,37 +89,6 @@ class Effect(ABC, Generic[FieldsT_co]):
     A parameter is a field of a frozen dataclass with `sim.parameter_entry.table_entry` as metadata, which
     states the path in the world file. All effects are called one after another by `order`.
 
-    Attributes
-    ----------
-    name : str
-        Of its step in records and reports.
-    explains : str
-        What it is, for reports.
-    order : int
-        Place among the effects: in files, of its step, and of the random numbers that it draws. A new effect
-        takes one above all others, so that frames of existing worlds stay as they are.
-    parameters : type
-        Frozen dataclass of its parameters.
-    strength : tuple of str
-        Parameters that are all 0 in a twin without the effect.
-    world_fields : type of Document, optional
-        Model of the fields that a world file has for it.
-    projector_fields : type of Document, optional
-        Model of the fields that the section `projector` of a world file has for it.
-    fitted : tuple of str
-        Numbers that are fitted again together with all others that expected images show.
-    adjustable : mapping of str to SubstituteNumber
-        Numbers that are fitted in place of a parameter, such as its inverse.
-    is_room_light : bool
-        Whether it is light that is not the projector's.
-    is_matched : bool
-        Whether a matching looks for it by `propose`.
-    varies : bool
-        Whether it differs from frame to frame or pose to pose around the same mean, so that no expected image
-        shows it.
-    characterises : bool
-        Whether the twin's own frames have to be characterised again after its step.
-
     Examples
     --------
     A slow drift of the projector's light::
@@ -152,19 +121,23 @@ class Effect(ABC, Generic[FieldsT_co]):
                 return LightChange(projector=1.0 + self.own(world.projector).drift * frame.number)
     """
 
-    name: ClassVar[str]
-    explains: ClassVar[str]
+    name: ClassVar[str]  # of its step in records and reports
+    explains: ClassVar[str]  # what it is, for reports
+    # Place among the effects: in files, of its step, and of the random numbers that it draws. A new effect
+    # takes one above all others, so that frames of existing worlds stay as they are.
     order: ClassVar[int]
-    parameters: ClassVar[type[Any]]
-    strength: ClassVar[tuple[str, ...]]
-    world_fields: type[FieldsT_co] | None = None
-    projector_fields: type[FieldsT_co] | None = None
-    fitted: ClassVar[tuple[str, ...]] = ()
+    parameters: ClassVar[type[Any]]  # frozen dataclass of its parameters
+    strength: ClassVar[tuple[str, ...]]  # parameters that are all 0 in a twin without the effect
+    world_fields: type[FieldsT_co] | None = None  # model of the fields that a world file has for it
+    projector_fields: type[FieldsT_co] | None = None  # the same of the section `projector` of a world file
+    fitted: ClassVar[tuple[str, ...]] = ()  # numbers fitted again with all others that expected images show
+    # Numbers that are fitted in place of a parameter, such as its inverse
     adjustable: ClassVar[Mapping[str, SubstituteNumber]] = MappingProxyType({})
-    is_room_light: ClassVar[bool] = False
-    is_matched: ClassVar[bool] = True
+    is_room_light: ClassVar[bool] = False  # whether it is light that is not the projector's
+    is_matched: ClassVar[bool] = True  # whether a matching looks for it by `propose`
+    # Whether it differs from frame to frame or pose to pose around one mean: no expected image shows it then
     varies: ClassVar[bool] = False
-    characterises: ClassVar[bool] = False
+    characterises: ClassVar[bool] = False  # whether the twin's frames are characterised again after its step
 
     def own(self, section: EffectWorld | EffectProjector) -> FieldsT_co:
         """Give the effect's own fields of a world, or of its section `projector`."""

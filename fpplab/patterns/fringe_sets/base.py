@@ -47,22 +47,13 @@ class Demodulation:
     modulation `B = scale sqrt(S² + C²)`; `Σ mean_n I_n` is the offset. The decoder takes what the mean
     square holds beyond offset² + B²/2 for misfit, which is right if the weights are those of a balanced set:
     `Σ exp(iδ_n)` and `Σ exp(2iδ_n)` vanish for its phase shifts δ_n.
-
-    Attributes
-    ----------
-    sine, cosine, mean : ndarray of float64, (N,)
-        Weights of the images.
-    scale : float
-        From the length of (S, C) to the modulation.
-    origin_rad : float
-        Phase of the coordinate where `2π stripes (u + 0.5)/W` is zero.
     """
 
-    sine: Floats
+    sine: Floats  # (N,) weights of the images
     cosine: Floats
     mean: Floats
-    scale: float
-    origin_rad: float
+    scale: float  # from the length of (S, C) to the modulation
+    origin_rad: float  # phase of the coordinate where `2π stripes (u + 0.5)/W` is zero
 
 
 class PatternSet(Document):
