@@ -12,11 +12,9 @@ anywhere and leaves the bench safe.
 
 from fpplab.devices.camera import Camera, CameraCaps, CameraSettings, Frame, Trigger
 from fpplab.devices.device import Device, DeviceInfo, State
-from fpplab.devices.fixture import Fixture, FixtureCaps
-from fpplab.devices.flashing import FlashingProjector
+from fpplab.devices.fixture import Fixture, FixtureCaps, InstructableFixture, PosableFixture
 from fpplab.devices.free_running import FreeFrame, FreeRun, FreeRunningCamera
-from fpplab.devices.placing import InstructableFixture, PosableFixture
-from fpplab.devices.projector import PatternLoads, Projector, ProjectorCaps
+from fpplab.devices.projector import FlashingProjector, PatternLoads, Projector, ProjectorCaps
 from fpplab.devices.stage import Stage, StageCaps, StageMove
 
 __all__ = [

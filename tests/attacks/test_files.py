@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fpplab.cli import console
-from fpplab.cli.tables import NOT_PRINTED
+from fpplab.cli.console import NOT_PRINTED
 from fpplab.clouds.files import load_cloud
 from fpplab.core import archives, config, strict_yaml
 from fpplab.core.archives import ArchiveLimits, load_arrays

@@ -1,6 +1,6 @@
 """Nested results as lines and tables."""
 
-from fpplab.cli.tables import as_table, readable
+from fpplab.cli.console import as_table, readable
 
 
 def test_values_in_one_line() -> None:
