@@ -1,5 +1,6 @@
 """`python -m docs.generate`: make the pictures by running the pages, and build the site."""
 
+import argparse
 import sys
 
 from docs.generate.pages import PageError
@@ -14,6 +15,7 @@ def main() -> int:
     int
         0 when it is built, 1 when a page shows what does not happen or MkDocs warns.
     """
+    argparse.ArgumentParser(prog="python -m docs.generate", description=__doc__).parse_args()
     try:
         make_pictures()
         print(build_site())

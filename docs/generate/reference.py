@@ -47,8 +47,9 @@ def commands_page() -> str:
     parts = [
         f"{HEAD}# Commands\n",
         "Every command takes `--json`: stdout is then exactly one JSON object. Exit codes: 0 done, 2 wrong "
-        "input, 3 device, 4 data, 5 calibration, 130 cancelled. Names of rigs, plans, targets and studies "
-        "are those of `configs/`, or paths. Rare commands are shown below a group, and also work alone: "
+        "input, 3 device, 4 data or a useless result, 5 calibration, 130 cancelled. Names of "
+        "rigs, plans, targets and studies are those of `configs/`, or paths. Rare commands are shown below a "
+        "group, and also work alone: "
         "`fpplab doctor` is `fpplab system doctor`.\n",
         _options(typer.main.get_command(app)),
     ]

@@ -42,9 +42,9 @@ from drivers.emulators.terminal import PseudoTerminal
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Image
-from fpplab.core.errors import ConfigError
+from fpplab.core.errors import ConfigError, SettingError
 from fpplab.core.geometry import RigidTransform
-from fpplab.devices import CameraSettings, DeviceInfo, Fixture, FixtureCaps
+from fpplab.devices import CameraSettings, DeviceInfo, FixtureCaps, PosableFixture
 from fpplab.devices.backends import load_backend
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import NumberedFrames, Restartable
@@ -249,7 +249,7 @@ class EmulatedBench:
             self.shutter.open(settings, at_s, times=1 + (number in self.faults.doubled))
 
 
-class EmulatedFixture(Fixture):
+class EmulatedFixture(PosableFixture):
     """The fixture of the optics."""
 
     def _setup(self, options: dict[str, Any], shared: Any) -> None:
@@ -280,6 +280,11 @@ class EmulatedFixture(Fixture):
 
     def _mount(self, item: str, pose: int) -> None:
         self._optics_fixture.mount(item, pose)
+
+    def _place(self, item: str, T_camera_item: RigidTransform) -> None:
+        if not isinstance(self._optics_fixture, PosableFixture):
+            raise SettingError(self.name, "place", "the fixture of the optics has fixed poses alone")
+        self._optics_fixture.place(item, T_camera_item)
 
     def _pose(self, item: str, pose: int) -> RigidTransform | None:
         return self._optics_fixture.pose(item, pose)

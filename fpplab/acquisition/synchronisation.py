@@ -158,8 +158,8 @@ class SyncVerdict:
 def synchronisation_remedy(plan: Plan) -> str:
     """Give advice to the operator on a session whose frames are out of step."""
     if plan.trigger == "stepped":
-        return "give the plan a longer settle_s: `fpplab check --rig` measures what the display needs"
-    return "check the trigger's cable, edge and delay; `fpplab check --rig` shows which triggers arrive"
+        return "give the plan a longer settle_s"
+    return "check the trigger's cable, edge and delay"
 
 
 @dataclass(frozen=True, eq=False)

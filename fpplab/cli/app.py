@@ -86,7 +86,8 @@ usual order is `characterise` (calibrate) once, then `scan`, then `compare` with
 `fpplab demo` does all of this on the virtual bench and writes a report.
 
 Commands of `data`, `system`, `twin` and `plan` also work alone: `fpplab doctor` is `fpplab system doctor`.
-Exit codes: 0 done, 2 wrong input, 3 device, 4 data, 5 calibration, 130 cancelled.""",
+Exit codes: 0 done, 2 wrong input, 3 device, 4 data or a useless result,
+5 calibration, 130 cancelled.""",
 )
 
 

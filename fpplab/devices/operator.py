@@ -26,8 +26,8 @@ class Operator(InstructableFixture):
         return FixtureCaps()
 
     def _mount(self, item: str, pose: int) -> None:
-        ask = "Take everything away" if item == "nothing" else f"Put {item} in pose {pose + 1}"
-        self._wait_for_answer("mount", f"{ask} in front of the rig")
+        item_in_pose = f"Put {item} in front of the rig, as pose {pose}"
+        self._wait_for_answer("mount", "Take everything away" if item == "nothing" else item_in_pose)
 
     def _instruct(self, item: str, description: str, picture: Path | None) -> None:
         shown = f" (see {picture})" if picture else ""

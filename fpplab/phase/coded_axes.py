@@ -102,8 +102,9 @@ def _check_axis(plan: Plan, axis: Axis, size: tuple[int, int], source: str) -> N
     if distance < min_distance():
         raise ConfigError(
             f"{source}: 'fringes' along {axis} look alike at coordinates {first:.0f} and {second:.0f} px: "
-            f"their codes differ by {distance:.2f} of the range of light, and noise of {CODES.noise_share:g} "
-            f"of the modulation needs {min_distance():.2f}; add a set that tells them apart"
+            f"with the usual blur of {CODES.usual_blur_px:g} px their codes differ by {distance:.2f} of the "
+            f"range of light; noise of {CODES.noise_share:g} of the modulation needs {min_distance():.2f}; "
+            "add a set that tells them apart"
         )
 
 

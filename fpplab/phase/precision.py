@@ -47,6 +47,7 @@ def uncertain_orders(decoded: Decoded, plan: Plan) -> dict[str, int] | None:
     for number, each in enumerate(sets, 1):
         if count := np.count_nonzero(decoded.uncertain_order == number):
             unit = " stripes" if isinstance(each, FringeSet) else ""
-            name = f"{each.coded_axis} {each.short_name}{unit}"
+            axis = f"{each.coded_axis} " if each.coded_axis else ""
+            name = f"{axis}{each.short_name}{unit}"
             causes[name] = causes.get(name, 0) + count
     return causes

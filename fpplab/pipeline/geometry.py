@@ -16,7 +16,10 @@ from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.sessions.origin import check_region, foreign_calibration, taken_at
 from fpplab.sessions.session import Session
 
-CONFIRM = "take a pose of the board, and 'fpplab characterise --judge CALIBRATION POSE --confirm'"
+CONFIRM = (
+    "show the board to 'fpplab check --rig RIG --calibration CALIBRATION --board POSE', or judge a recorded "
+    "pose with 'fpplab characterise --judge CALIBRATION POSE --confirm'"
+)
 SHOWN_CHANGES = 5  # kinds of changes that are listed, those that cost most (chosen)
 
 

@@ -31,6 +31,7 @@ class DemoScan:
             "artefact": self.artefact,
             "images": self.scan.session.plan.frames,
             **self.comparison.summary(),
+            "verdict": self.scan.diagnosis.verdict.value,
             "points": len(self.scan.cloud) if self.scan.cloud else 0,
             "removed": count_removed(self.scan.decoded) if self.scan.decoded else None,
             "unfiltered": {name: getattr(self.unfiltered, name) for name in UNFILTERED},

@@ -16,6 +16,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
+from fpplab.phase import check_codes
 from fpplab.phase.bounds import widest_interval_share
 from fpplab.phase.coded_axes import axes_by_codes, axes_with_orders, coded_coordinate
 from fpplab.phase.order_risk import wrong_order_chance
@@ -92,6 +93,7 @@ def preview_plan(
     # shows only while patterns are shown is not found, such as a trigger cable that is not connected.
     camera, caps = rig.camera, rig.projector.caps
     plan.check_projector(caps.size, source)
+    check_codes(plan, caps.size, str(source))
     ends = end_markers(plan, caps.size)
     patterns = [*make_patterns(plan, caps.size, caps.lattice), *ends]
     rig.projector.load(patterns)

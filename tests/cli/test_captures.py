@@ -220,6 +220,10 @@ def test_a_gray_code_measures_the_skull_as_fringes_do(
     assert len(gray) >= 370_000
     distance, _ = cKDTree(skull[0].points).query(gray.points)
     assert np.median(distance) <= 0.35
+    depths, sigmas = ([c.map_of(of) for c in (gray, skull[0])] for of in ("z", "sigma_noise_mm"))
+    spread = 1.4826 * np.nanmedian(np.abs(depths[0] - depths[1]) / np.hypot(*sigmas))
+    print(f"Gray code and fringes: {np.median(distance):.3f} mm apart, {spread:.2f} times what is stated")
+    assert 0.8 < spread < 1.25
 
 
 @pytest.mark.whole

@@ -25,7 +25,7 @@ def test_a_person_is_asked_for_item_and_pose(
             operator.instruct("board", "in the middle of the image", Path("next_pose.png"))
     os.close(hand)
     asked = capsys.readouterr().err
-    assert "Put board in pose 3 in front of the rig" in asked
+    assert "Put board in front of the rig, as pose 2" in asked
     assert "Put pyramid" in asked
     assert "Hold board in the middle of the image (see next_pose.png), then press Enter" in asked
 

@@ -46,8 +46,9 @@ def compare_command(
 ) -> None:
     """Measure how far a cloud is from the true shape.
 
-    SMCD is the paper's distance between point sets, reported with its floor: the value of a perfect
-    measurement with the same sampling. The distances to the surface have no floor.
+    SMCD, the symmetric mean closest-point distance, is a distance between point sets, reported with its
+    floor: the value of a perfect measurement with the same sampling. The distances to the surface have no
+    floor.
 
     With --align both hardly respond to errors of scale or shear. The scale of the cloud in ppm, with its
     standard uncertainty, is therefore reported with them, from the best-fit similarity transform; for meshes

@@ -44,9 +44,8 @@ DEMO_COLUMNS = {
     "artefact": "artefact",
     "images": "images",
     "points": "points",
-    "surface_rms_um": "RMS µm",
+    "verdict": "verdict",
     "surface_smcd_um": "surface SMCD µm",
-    "smcd_um": "SMCD µm",
-    "smcd_floor_um": "its floor µm",
+    "surface_rms_um": "RMS µm",
     "completeness": "complete",
 }
