@@ -69,6 +69,16 @@ def test_a_plan_that_cannot_work_is_refused_by_its_limit(fpplab: Command, rig: P
     assert not picture.exists()
 
 
+def test_codes_that_a_scan_would_refuse_are_refused_here(fpplab: Command, rig: Path) -> None:
+    plan = rig.with_name("plan.yaml")
+    plan.write_text(
+        "fringes: [{kind: shifted, axis: x, stripes: 3, shifts_deg: [0, 120, 240]}]\nexposure_s: 0.02\n"
+    )
+    done = fpplab("plan", "show", plan, "--rig", rig)
+    assert done.code == 2
+    assert f"{plan}: 'fringes' along x look alike at coordinates " in done.err
+
+
 def planned(stripes: float = 4, steps: int = 3, **more: object) -> Plan:
     return Plan(fringes=(Sinusoid(axis="x", stripes=stripes, steps=steps),), **more)  # type: ignore[arg-type]
 
