@@ -9,7 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import INSTRUMENTS, Commands, Force, Json
-from fpplab.cli.completion import existing_file
+from fpplab.cli.completion import existing_file, option
 from fpplab.core.errors import DeviceError, DisconnectedError
 from fpplab.core.files import need_suffix, refuse_existing
 
@@ -27,7 +27,7 @@ camera = typer.Typer(
 NAME = "camera"
 
 CameraSerialOption = Annotated[
-    str | None, typer.Option("--serial", help="Serial number of the camera, if several are connected.")
+    str | None, option("--serial", "Serial number of the camera, if several are connected.")
 ]
 SettingsFile = Annotated[Path, typer.Argument(metavar="FILE", help="Settings file (.pfs).")]
 

@@ -11,6 +11,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import INSTRUMENTS, Commands, Json
+from fpplab.cli.completion import option
 from fpplab.core.confirmation import ConfirmationRequired, confirm, how_to_confirm
 from fpplab.core.errors import ConfigError, LimitError
 
@@ -29,18 +30,18 @@ dlp4500 = typer.Typer(
 NAME = "projector"  # the projector's name in errors
 
 ProjectorSerialOption = Annotated[
-    str | None, typer.Option("--serial", help="Serial number of the projector, if several are connected.")
+    str | None, option("--serial", "Serial number of the projector, if several are connected.")
 ]
 
 EchoOption = Annotated[
     bool,
-    typer.Option(
+    option(
         "--echo/--no-echo",
-        help="Whether replies repeat the number and flags of their request; some boards do not.",
+        "Whether replies repeat the number and flags of their request; some boards do not.",
     ),
 ]
 
-LedOption = Annotated[int, typer.Option(min=0, max=255, help="0 is off, 255 full.")]
+LedOption = Annotated[int, option("", "0 is off, 255 full.", min=0, max=255)]
 
 
 class Power(StrEnum):
@@ -115,17 +116,14 @@ def led(
     green: LedOption = 0,
     blue: LedOption = 0,
     inverted: Annotated[
-        bool, typer.Option("--inverted/--not-inverted", help="Whether the board treats level 255 as off.")
+        bool, option("--inverted/--not-inverted", "Whether the board treats level 255 as off.")
     ] = True,
     rig: Annotated[
         str | None,
-        typer.Option(
-            "--rig", help="Rig file whose projector states `led_limits`, which replace the default limits."
-        ),
+        option("--rig", "Rig file whose projector states `led_limits`, which replace the default limits."),
     ] = None,
     dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="Report whether a limit is exceeded, without switching anything on."),
+        bool, option("--dry-run", "Report whether a limit is exceeded, without switching anything on.")
     ] = False,
     serial: ProjectorSerialOption = None,
     echo: EchoOption = True,

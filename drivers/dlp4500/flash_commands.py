@@ -9,7 +9,7 @@ import typer
 from drivers.dlp4500.bench_commands import NAME, EchoOption, ProjectorSerialOption, connect_projector, dlp4500
 from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out
-from fpplab.cli.completion import existing_config, existing_file, names_of
+from fpplab.cli.completion import existing_config, existing_file, names_of, option
 from fpplab.core.confirmation import ConfirmationRequired, can_confirm, confirm, how_to_confirm
 from fpplab.core.errors import Cancelled, ConfigError
 from fpplab.core.files import need_suffix, refuse_existing, write_atomic, write_text
@@ -26,9 +26,7 @@ def build(
             callback=existing_config("plan"),
         ),
     ],
-    base: Annotated[
-        Path, typer.Option("--base", help="Firmware file of the manufacturer, or one built earlier.")
-    ],
+    base: Annotated[Path, option("--base", "Firmware file of the manufacturer, or one built earlier.")],
     out: Out,
     force: Force = False,
     json: Json = False,
@@ -90,12 +88,9 @@ def upload(
     ],
     serial: ProjectorSerialOption = None,
     echo: EchoOption = True,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Erase without asking, as with `--allow erase-flash`.")
-    ] = False,
+    yes: Annotated[bool, option("--yes", "Erase without asking, as with `--allow erase-flash`.")] = False,
     dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="List what would be erased and written, without changing anything."),
+        bool, option("--dry-run", "List what would be erased and written, without changing anything.")
     ] = False,
     json: Json = False,
 ) -> None:

@@ -295,7 +295,7 @@ def _by_least_squares(follower: Follower, start: Floats, pixels: Pixels) -> Floa
         here, step = values(moved), MOTION.derivative_mm
         return np.asarray(np.stack([values(moved + step * e) - here for e in np.eye(3)], axis=1) / step)
 
-    tolerance, most = MOTION.fit_tolerance, MOTION.fit_passes
+    tolerance = MOTION.fit_tolerance
     fit = scipy.optimize.least_squares(
         values,
         start,
@@ -304,7 +304,7 @@ def _by_least_squares(follower: Follower, start: Floats, pixels: Pixels) -> Floa
         f_scale=MOTION.outlier_sigmas,
         ftol=tolerance,
         xtol=tolerance,
-        max_nfev=most,
+        max_nfev=MOTION.fit_passes,
     )
     return np.asarray(fit.x)
 

@@ -89,11 +89,11 @@ class MovingTiles:
             mask[row : row + MOTION.tile_px, column : column + MOTION.tile_px] = True
         return mask
 
-    def pixels(self, group: int, most: int) -> Pixels:
+    def pixels(self, group: int, max_count: int) -> Pixels:
         """Some pixels of a group, (P, 2) row and column."""
         inner = np.indices((MOTION.tile_px, MOTION.tile_px)).reshape(2, -1).T
         pixels = (self.corners[self.groups == group][:, None] + inner).reshape(-1, 2)
-        return np.asarray(np.random.default_rng(0).permutation(pixels)[:most])
+        return np.asarray(np.random.default_rng(0).permutation(pixels)[:max_count])
 
 
 def _products(frames: Sequence[Image], apart: int) -> Floats:

@@ -16,7 +16,7 @@ program = typer.Typer()
 def compare_rigs_command(
     session: Annotated[Path, typer.Argument(help="Scan of the item on the bench.", callback=existing_data)],
     rig: Annotated[str, config_option("rig", "Rig file of the twin.")],
-    item: Annotated[str, typer.Option("--item", help="Scanned item, by its name in the twin's world.")],
+    item: Annotated[str, option("--item", "Scanned item, by its name in the twin's world.")],
     calibration: Annotated[
         Path, option("--calibration", "Calibration of the bench.", callback=existing_file)
     ],

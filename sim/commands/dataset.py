@@ -6,7 +6,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Json, Out, PlanName, RigName
-from fpplab.cli.completion import config_option
+from fpplab.cli.completion import config_option, option
 from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 
 program = typer.Typer()
@@ -16,15 +16,15 @@ program = typer.Typer()
 def dataset_command(
     context: typer.Context,
     rig: RigName,
-    count: Annotated[int, typer.Option("--count", min=1, help="Number of samples.")],
+    count: Annotated[int, option("--count", "Number of samples.", min=1)],
     out: Out,
     plan: PlanName = "plan_paper.yaml",
     scenes: Annotated[
         str,
         config_option("dataset", "Scene file: ranges from which scenes are drawn.", "--scenes"),
     ] = "dataset_demo.yaml",
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random scenes.")] = 0,
-    shard_size: Annotated[int, typer.Option("--shard-size", min=1, help="Number of samples per shard.")] = 8,
+    seed: Annotated[int, option("--seed", "Seed of the random scenes.", min=0)] = 0,
+    shard_size: Annotated[int, option("--shard-size", "Number of samples per shard.", min=1)] = 8,
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     json: Json = False,

@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Force, Json, Out
-from fpplab.cli.completion import config_option
+from fpplab.cli.completion import config_option, option
 from fpplab.cli.lists import VariadicOptionsCommand
 from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import ConfigError
@@ -40,49 +40,44 @@ def match_command(
     out: Out,
     reference: Annotated[
         list[Path] | None,
-        typer.Option("--reference", help="Sessions of a board recorded on the bench, or their folder."),
+        option("--reference", "Sessions of a board recorded on the bench, or their folder."),
     ] = None,
     gamma: Annotated[
-        Path | None, typer.Option("--gamma", help="Response of the bench, written by `fpplab gamma`.")
+        Path | None, option("--gamma", "Response of the bench, written by `fpplab gamma`.")
     ] = None,
     scan: Annotated[
         list[str] | None,
-        typer.Option(
-            "--scan", help="ITEM=SESSION: scan of an artefact on the bench, used to judge the twin."
-        ),
+        option("--scan", "ITEM=SESSION: scan of an artefact on the bench, used to judge the twin."),
     ] = None,
     surface: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--surface",
-            help="ITEM=SESSION: scan of a part on the bench, to match its reflectance and gloss; may be "
+            "ITEM=SESSION: scan of a part on the bench, to match its reflectance and gloss; may be "
             "used without --reference if the twin is already matched.",
         ),
     ] = None,
     card: Annotated[
         str,
-        typer.Option(
+        option(
             "--card",
-            help="Name of the grey card in the twin's fixture; with ITEM=SESSION a scan of the card, to "
+            "Name of the grey card in the twin's fixture; with ITEM=SESSION a scan of the card, to "
             "match its pose.",
         ),
     ] = "grey_card",
     accept: Annotated[
-        list[str] | None,
-        typer.Option("--accept", help="CAUSE: proceed despite this finding; the twin keeps a warning."),
+        list[str] | None, option("--accept", "CAUSE: proceed despite this finding; the twin keeps a warning.")
     ] = None,
     target: Annotated[
         str | None, config_option("target", "Target file of the board. Default: the twin's.")
     ] = None,
-    item: Annotated[str, typer.Option("--item", help="Name of the board in the twin's fixture.")] = "board",
-    epochs: Annotated[int, typer.Option("--epochs", min=1, help="Maximum number of epochs.")] = 25,
+    item: Annotated[str, option("--item", "Name of the board in the twin's fixture.")] = "board",
+    epochs: Annotated[int, option("--epochs", "Maximum number of epochs.", min=1)] = 25,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=1, help="Time limit in s, excluding the final comparison.")
+        float, option("--seconds", "Time limit in s, excluding the final comparison.", min=1)
     ] = 900.0,
-    alpha: Annotated[
-        float, typer.Option("--alpha", min=0, help="Weight of log(1 + |ε_d|) in the loss.")
-    ] = 0.2,
-    beta: Annotated[float, typer.Option("--beta", min=0, help="Weight of 1 - SSIM in the loss.")] = 0.8,
+    alpha: Annotated[float, option("--alpha", "Weight of log(1 + |ε_d|) in the loss.", min=0)] = 0.2,
+    beta: Annotated[float, option("--beta", "Weight of 1 - SSIM in the loss.", min=0)] = 0.8,
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     force: Force = False,

@@ -7,7 +7,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Json
-from fpplab.cli.completion import config_option
+from fpplab.cli.completion import config_option, option
 
 program = typer.Typer()
 
@@ -16,10 +16,9 @@ program = typer.Typer()
 def predict_command(
     rig: Annotated[str, config_option("rig", "Rig file of a twin or virtual bench.")],
     plan: Annotated[str, config_option("plan", "Plan to project.")],
-    item: Annotated[str, typer.Option("--item", help="Item to measure, by its name in the twin's world.")],
+    item: Annotated[str, option("--item", "Item to measure, by its name in the twin's world.")],
     calibration: Annotated[
-        Path | None,
-        typer.Option("--calibration", help="Calibration used to triangulate. Default: the twin's true one."),
+        Path | None, option("--calibration", "Calibration used to triangulate. Default: the twin's true one.")
     ] = None,
     json: Json = False,
 ) -> None:

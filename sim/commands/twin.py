@@ -7,6 +7,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Commands, Force, Json, Out, RigName
+from fpplab.cli.completion import option
 from fpplab.core.files import need_suffix, refuse_existing, write_atomic
 from fpplab.core.session_names import CLOUD
 
@@ -18,30 +19,24 @@ twin = typer.Typer(
 )
 """`fpplab twin …`."""
 
-ItemOption = Annotated[
-    str | None, typer.Option("--item", help="Item of the world. Default: the mounted item.")
-]
-PoseOption = Annotated[int, typer.Option("--pose", min=0, help="Pose of the item.")]
+ItemOption = Annotated[str | None, option("--item", "Item of the world. Default: the mounted item.")]
+PoseOption = Annotated[int, option("--pose", "Pose of the item.", min=0)]
 BaselineOption = Annotated[
     float | None,
-    typer.Option(
+    option(
         "--baseline",
-        min=0,
-        help="Distance between projector and camera in mm, set by the stage. Default: the distance "
+        "Distance between projector and camera in mm, set by the stage. Default: the distance "
         "with the stage at 0.",
+        min=0,
     ),
 ]
-AxisOption = Annotated[
-    Literal["x", "y"], typer.Option("--axis", help="Projector axis along which the phase increases.")
-]
+AxisOption = Annotated[Literal["x", "y"], option("--axis", "Projector axis along which the phase increases.")]
 StripesOption = Annotated[
-    float, typer.Option("--stripes", min=0.01, help="Number of fringe periods across the projector image.")
+    float, option("--stripes", "Number of fringe periods across the projector image.", min=0.01)
 ]
-StepsOption = Annotated[int, typer.Option("--steps", min=3, max=1000, help="Number of phase-shifted images.")]
-StepOption = Annotated[int, typer.Option("--step", min=0, help="Index of the image shown.")]
-ExposureOption = Annotated[
-    float, typer.Option("--exposure", min=1e-6, max=60, help="Exposure of each frame in s.")
-]
+StepsOption = Annotated[int, option("--steps", "Number of phase-shifted images.", min=3, max=1000)]
+StepOption = Annotated[int, option("--step", "Index of the image shown.", min=0)]
+ExposureOption = Annotated[float, option("--exposure", "Exposure of each frame in s.", min=1e-6, max=60)]
 
 
 @twin.command("extension")
@@ -134,9 +129,7 @@ def record_on_twin(
     exposure: ExposureOption = 0.02,
     calibration: Annotated[
         Path | None,
-        typer.Option(
-            "--calibration", help="Calibration of the rig at this baseline. Default: the simulation's own."
-        ),
+        option("--calibration", "Calibration of the rig at this baseline. Default: the simulation's own."),
     ] = None,
     force: Force = False,
     json: Json = False,

@@ -7,16 +7,15 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, AsRecorded, Force, Json, LimitsOption, Out, app
-from fpplab.cli.completion import existing_data
+from fpplab.cli.completion import existing_data, option
 from fpplab.cli.viewing import ConsoleObserver
 
 KnownCoordinates = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
         "--known",
+        "Known projector coordinate of a camera pixel, for plans with spatial unwrapping; may be repeated.",
         metavar="COLUMN,ROW,PX",
-        help="Known projector coordinate of a camera pixel, for plans with spatial unwrapping; may be "
-        "repeated.",
     ),
 ]
 
@@ -28,17 +27,14 @@ def decode_command(
     known: KnownCoordinates = None,
     reference: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--reference",
-            help="Session of a flat reference plane recorded with the same plan; heights are then given "
-            "above it.",
+            "Session of a flat reference plane recorded with the same plan; heights are then given above it.",
         ),
     ] = None,
     plane: Annotated[
         Path | None,
-        typer.Option(
-            "--plane", help="File with the positions of camera and projector relative to the plane."
-        ),
+        option("--plane", "File with the positions of camera and projector relative to the plane."),
     ] = None,
     as_recorded: AsRecorded = False,
     limits: LimitsOption = None,

@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, PlanName, RigName, app
 from fpplab.cli.completion import option
@@ -15,9 +13,7 @@ from fpplab.core.files import need_suffix, refuse_existing, write_text
 def exposure_command(
     rig: RigName,
     plan: PlanName = "plan_scan.yaml",
-    seconds: Annotated[
-        float, typer.Option("--seconds", min=0.01, help="Maximum duration of the plan in s.")
-    ] = 30.0,
+    seconds: Annotated[float, option("--seconds", "Maximum duration of the plan in s.", min=0.01)] = 30.0,
     calibration: Annotated[
         Path | None, option("--calibration", "Calibration file; the noise is then also given in µm.")
     ] = None,

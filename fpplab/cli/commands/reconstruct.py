@@ -45,10 +45,10 @@ def reconstruct_command(
     depth: DepthOption = None,
     known: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--known",
+            "Known distance at a camera pixel, for plans with spatial unwrapping; may be repeated.",
             metavar="COLUMN,ROW,MM",
-            help="Known distance at a camera pixel, for plans with spatial unwrapping; may be repeated.",
         ),
     ] = None,
     as_recorded: AsRecorded = False,
