@@ -20,10 +20,10 @@ PROC, SYS = Path("/proc"), Path("/sys")
 UDEV_RULES = (Path("/usr/lib/udev/rules.d"), Path("/lib/udev/rules.d"), Path("/etc/udev/rules.d"))
 
 
-def usb_memory(needed_bytes: int = LIMITS.usbfs_bytes) -> str | None:
+def usb_memory() -> str | None:
     """Describe USB memory that is too small; for a computer with a USB 3 camera."""
     allowed_mb = _number(SYS / "module/usbcore/parameters/usbfs_memory_mb")
-    if not allowed_mb or allowed_mb << 20 >= needed_bytes:  # 0 is no limit
+    if not allowed_mb or allowed_mb << 20 >= LIMITS.usbfs_bytes:  # 0 is no limit
         return None
     return (
         f"{COMPUTER}USB transfers may have {allowed_mb} MB of memory in all (usbfs_memory_mb), and frames of "

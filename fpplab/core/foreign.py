@@ -41,8 +41,8 @@ OPENCV_STARTS = ("%YAML", "<?xml", "{")
 Parts = dict[str, NDArray[Any]]
 
 
-def read_apart(kind: str, path: Path, opened: BinaryIO | None = None) -> Parts:
-    with opened or open_regular(path) as stream:
+def read_apart(kind: str, path: Path) -> Parts:
+    with open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         seconds = LIMITS.seconds + LIMITS.seconds_per_mb * size / 1e6
         command = [

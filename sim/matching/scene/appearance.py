@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.core.progress import Progress, no_progress
 from sim.appearance import Appearance
 from sim.matching.evaluation import pose_similarity
 from sim.matching.reference import Reference
@@ -76,23 +75,22 @@ class AppearanceTrial:
         }
 
 
-def match_appearance(reference: Reference, twin: Twin, progress: Progress = no_progress) -> AppearanceTrial:
+def match_appearance(reference: Reference, twin: Twin) -> AppearanceTrial:
     """Find the board's sheet and the surroundings, as far as they prove themselves."""
     *others, held = reference.spread_poses(LIMITS.max_poses)
     bare = _similarity(reference, twin, held, None)
-    sheet = find_sheet(reference, twin, others, lambda share: progress(0.1 * share))
+    sheet = find_sheet(reference, twin, others)
     sheet_trial = PartTrial(bare[1], _similarity(reference, twin, held, Appearance(sheet))[1])
     if sheet_trial.accepted:
-        sheet = sharpened_sheet(reference, twin, sheet, others, lambda share: progress(0.1 + 0.2 * share))
+        sheet = sharpened_sheet(reference, twin, sheet, others)
         sheet_trial = PartTrial(bare[1], _similarity(reference, twin, held, Appearance(sheet))[1])
     else:
         sheet = replace(sheet, texture=None)
-    around = rebuild_surroundings(reference, twin, sheet, others, lambda share: progress(0.3 + 0.2 * share))
+    around = rebuild_surroundings(reference, twin, sheet, others)
     before = _similarity(reference, twin, held, Appearance(sheet))[0]
     after = _similarity(reference, twin, held, Appearance(sheet, around))[0] if around else before
     around_trial = PartTrial(before, after)
     appearance = _rebuild_accepted_from_all_poses(reference, twin, [*others, held], sheet_trial, around_trial)
-    progress(1.0)
     return AppearanceTrial(reference.sessions[held].path.name, sheet_trial, around_trial, appearance)
 
 

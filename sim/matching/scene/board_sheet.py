@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Mask
 from fpplab.core.geometry import RigidTransform
-from fpplab.core.progress import Progress, no_progress
 from sim.appearance import NO_MARGINS, Appearance, BoardSheet
 from sim.matching.reference import LevelStack, Reference
 from sim.twin import Twin
@@ -61,12 +60,10 @@ class _Compared:
         return self.ratio * (self.correlation > LIMITS.min_correlation)
 
 
-def find_sheet(
-    reference: Reference, twin: Twin, poses: Sequence[int], progress: Progress = no_progress
-) -> BoardSheet:
+def find_sheet(reference: Reference, twin: Twin, poses: Sequence[int]) -> BoardSheet:
     reach = LIMITS.reach * min(reference.target.size_mm)
     wide = twin.with_appearance(Appearance(BoardSheet((reach, reach, reach, reach))))
-    compared = _compare_all(reference, wide, poses, progress)
+    compared = [_compare_images(reference, wide, pose) for pose in poses]
     margins = _sheet_margins(reference, twin, compared, reach)
     beyond = [
         [_beyond_side(reference, twin, pose, pose.ratio, margins, k) for k in range(4)] for pose in compared
@@ -76,36 +73,16 @@ def find_sheet(
     return replace(sheet, texture=_sheet_texture(reference, twin, compared, margins))
 
 
-def sharpened_sheet(
-    reference: Reference,
-    twin: Twin,
-    sheet: BoardSheet,
-    poses: Sequence[int],
-    progress: Progress = no_progress,
-) -> BoardSheet:
+def sharpened_sheet(reference: Reference, twin: Twin, sheet: BoardSheet, poses: Sequence[int]) -> BoardSheet:
     """Find the texture again, beyond what the twin shows of it already."""
     # A texture that was found in images has been blurred by a lens, and the twin's lens blurs it once more.
     assert sheet.texture is not None
-
-    def in_round(number: int) -> Progress:
-        return lambda share: progress((number + share) / LIMITS.sharpening_rounds)
-
-    for number in range(LIMITS.sharpening_rounds):
+    for _ in range(LIMITS.sharpening_rounds):
         so_far = twin.with_appearance(Appearance(sheet))
-        compared = _compare_all(reference, so_far, poses, in_round(number))
+        compared = [_compare_images(reference, so_far, pose) for pose in poses]
         texture = sheet.texture * _sheet_texture(reference, twin, compared, sheet.margins_mm)
         sheet = replace(sheet, texture=np.clip(texture, 0, np.float32(LIMITS.max_factor)))
     return sheet
-
-
-def _compare_all(
-    reference: Reference, twin: Twin, poses: Sequence[int], progress: Progress
-) -> list[_Compared]:
-    compared = []
-    for done, pose in enumerate(poses):
-        compared.append(_compare_images(reference, twin, pose))
-        progress((done + 1) / len(poses))
-    return compared
 
 
 def _compare_images(reference: Reference, twin: Twin, pose: int) -> _Compared:

@@ -22,7 +22,6 @@ from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import FppError
 from fpplab.core.geometry import Pinhole, RigidTransform
-from fpplab.core.progress import Progress, no_progress
 from fpplab.pipeline.measuring import reconstruct_points
 from fpplab.targets import Target
 from sim.appearance import Appearance, BenchSurroundings, BoardSheet
@@ -55,13 +54,9 @@ LIMITS = SurroundingsLimits()
 
 
 def rebuild_surroundings(
-    reference: Reference,
-    twin: Twin,
-    sheet: BoardSheet,
-    poses: Sequence[int],
-    progress: Progress = no_progress,
+    reference: Reference, twin: Twin, sheet: BoardSheet, poses: Sequence[int]
 ) -> BenchSurroundings | None:
-    depths = _median_depths(reference, twin, sheet, poses, lambda share: progress(0.6 * share))
+    depths = _median_depths(reference, twin, sheet, poses)
     camera = twin.parameters.calibration.camera
     depths = _smooth_depths(depths)
     if np.isfinite(depths).sum() < LIMITS.min_cells:
@@ -73,17 +68,15 @@ def rebuild_surroundings(
     width, height = camera.size
     surroundings = BenchSurroundings(mesh, np.full((height, width), LIMITS.trial_reflectance, np.float32))
     trial = twin.with_appearance(Appearance(sheet, surroundings))
-    painted = _reflectance(reference, trial, sheet, poses, lambda share: progress(0.6 + 0.4 * share))
+    painted = _reflectance(reference, trial, sheet, poses)
     return replace(surroundings, reflectance=painted) if painted.any() else None
 
 
-def _median_depths(
-    reference: Reference, twin: Twin, sheet: BoardSheet, poses: Sequence[int], progress: Progress
-) -> Floats:
+def _median_depths(reference: Reference, twin: Twin, sheet: BoardSheet, poses: Sequence[int]) -> Floats:
     """Median depth of the surroundings over poses in cells of pixels, NaN where nothing is known."""
     of_poses = []
     parameters = twin.parameters
-    for done, pose in enumerate(poses):
+    for pose in poses:
         try:
             _, cloud = reconstruct_points(reference.sessions[pose], parameters.calibration, as_recorded=True)
         except FppError:  # a pose that shows too little to be triangulated
@@ -91,7 +84,6 @@ def _median_depths(
         of_poses.append(
             _depth_by_cell(cloud, _is_outside_sheet(cloud, parameters.poses[pose], reference.target, sheet))
         )
-        progress((done + 1) / len(poses))
     if not of_poses:
         return np.full((1, 1), np.nan)
     with warnings.catch_warnings():
@@ -219,13 +211,10 @@ def _smooth_depths(depths: Floats) -> Floats:
 
 
 def _reflectance(
-    reference: Reference, twin: Twin, sheet: BoardSheet, poses: Sequence[int], progress: Progress
+    reference: Reference, twin: Twin, sheet: BoardSheet, poses: Sequence[int]
 ) -> NDArray[np.float32]:
     """Ratio (height, width) of recorded levels to the twin's, times the trial's reflectance; at most 1."""
-    ratios = []
-    for done, pose in enumerate(poses):
-        ratios.append(_recorded_to_twin_ratio(reference, twin, sheet, pose))
-        progress((done + 1) / len(poses))
+    ratios = [_recorded_to_twin_ratio(reference, twin, sheet, pose) for pose in poses]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a pixel that is lit in no pose
         ratio: LevelStack = np.nanmedian(np.stack(ratios), axis=0)
