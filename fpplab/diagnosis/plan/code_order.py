@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.config import Positive
-from fpplab.core.conventions import Axis
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits, LimitsSection
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.plan import Plan
@@ -38,7 +37,7 @@ def code_order_fault(recording: Recording, limits: DiagnosisLimits = USUAL_LIMIT
     with_orders = axes_with_orders(plan, size)
     for axis in (*axes_by_codes(plan, size), *with_orders):
         sets = sets_of_axis(plan, axis, with_fringes=axis not in with_orders)
-        rivals = list(_rivals(plan, axis, sets))
+        rivals = list(_rivals(plan, sets))
         likelihoods = sampled_likelihood(recording, axis, sets, [order for _, order in rivals])
         if likelihoods is None:
             continue
@@ -48,7 +47,7 @@ def code_order_fault(recording: Recording, limits: DiagnosisLimits = USUAL_LIMIT
     return None
 
 
-def _rivals(plan: Plan, axis: Axis, sets: tuple[int, ...]) -> Iterator[tuple[str, _Order]]:
+def _rivals(plan: Plan, sets: tuple[int, ...]) -> Iterator[tuple[str, _Order]]:
     """Orders of an axis' frames with what they mean, the plan's first."""
     images = [(k, step) for k in sets for step in range(plan.sets[k].images)]
     stated = np.arange(len(images))
