@@ -159,9 +159,8 @@ def square_to_disc_correction(circle: float) -> Floats | None:
     weight = np.where(np.maximum(x, y) <= BAND, 1.0, math.sqrt(_REST))
     across, down = (axis.ravel() for axis in np.mgrid[-reach : reach + 1, -reach : reach + 1])
     near, far = np.sort(np.abs([across, down]), axis=0)
-    orbit = (
-        near + far * (far + 1) // 2
-    )  # one number for all places that symmetries of the square map to each other
+    # One number for all places that symmetries of the square map to each other.
+    orbit = near + far * (far + 1) // 2
     waves = np.zeros((len(x), orbit.max() + 1))
     np.add.at(waves.T, orbit, np.cos(2 * np.pi * (np.outer(across, x) + np.outer(down, y))))
     solved = np.linalg.lstsq(waves * weight[:, None], modulation * weight, rcond=None)[0]

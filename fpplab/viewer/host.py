@@ -308,9 +308,8 @@ class _PageHandler(BaseHTTPRequestHandler):
     def _name(self) -> str | None:
         """What is asked for; None where it is not the page itself that asks."""
         page = self.page
-        is_own = (
-            self.headers.get("Host") == page.host
-        )  # else a foreign name that was pointed at this computer
+        # Another host is a foreign name that was pointed at this computer.
+        is_own = self.headers.get("Host") == page.host
         is_own &= self.headers.get("Origin") in (None, f"http://{page.host}")
         given, own = self.path[: len(page.path)].encode(), page.path.encode()
         return self.path[len(page.path) :] if secrets.compare_digest(given, own) and is_own else None

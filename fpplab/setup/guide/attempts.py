@@ -18,9 +18,7 @@ class PoseAttempt:
     request: str  # what was asked for
     points: int  # points of the board that were found
     rms_px: dict[str, float]  # RMS of `camera` and `projector` in px
-    fit: (
-        PoseFit | None
-    )  # residuals compared with those that the poses before predict; None for the first poses
+    fit: PoseFit | None  # residuals against those that the poses before predict; None for the first poses
     form_mm: float | None  # standard uncertainty of form in mm with this pose
     findings: tuple[Finding, ...]  # what is wrong with it
     accepted: bool  # whether it counts
