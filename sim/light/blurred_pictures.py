@@ -19,8 +19,9 @@ SIZE_RATIO = 1.2
 """Ratio of the variances of successive sizes of spots; between them the print is interpolated (chosen)."""
 RIM_SIGMAS = 4.0
 """Margin of the blurred print beyond the item's edges, in standard deviations of the blur (chosen)."""
-KEEP_BYTES = 1 << 27
-"""Size up to which a print is kept for sizes not asked for now (chosen); all together have twice as much."""
+KEEP_BYTES = 1 << 28
+"""Size of all prints that are kept (chosen). One has three quarters of it for all sizes that were asked for:
+the same board is drawn at two resolutions, as poses are near or far, and the finer takes most."""
 
 _Picture = NDArray[np.float32]
 
@@ -83,13 +84,13 @@ class BlurredPictureCache:
                     self._kept.move_to_end(key)
                     return kept.blurred
                 widest = min(kept.first, first), max(kept.last, last)
-                if 4 * picture.size * (widest[1] - widest[0] + 1) <= KEEP_BYTES:
+                if 4 * picture.size * (widest[1] - widest[0] + 1) <= 0.75 * KEEP_BYTES:
                     first, last = widest
             blurred = _blur_picture(picture, px_per_mm, SIZE_RATIO ** np.arange(first, last + 1.0))
             # with the picture itself, so that no other has its number
             self._kept[key] = _Kept(picture, first, last, blurred)
             self._kept.move_to_end(key)
-            while len(self._kept) > 1 and sum(entry.nbytes for entry in self._kept.values()) > 2 * KEEP_BYTES:
+            while len(self._kept) > 1 and sum(entry.nbytes for entry in self._kept.values()) > KEEP_BYTES:
                 self._kept.popitem(last=False)
             return blurred
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from sim.light.blurred_pictures import BlurredPictureCache, BlurredPictures, unblurred_picture
+from sim.light.blurred_pictures import SIZE_RATIO, BlurredPictureCache, BlurredPictures, unblurred_picture
 
 SCALE = (10.0, 10.0)
 """Pixels per mm."""
@@ -48,6 +48,22 @@ def test_prints_of_several_pictures_are_kept() -> None:
     first = [cache.blurred(one, SCALE, 0.04, 0.09) for one in pictures]
     again = [cache.blurred(one, SCALE, 0.05, 0.08) for one in pictures]
     assert all(a is b for a, b in zip(first, again, strict=True))
+
+
+def test_prints_of_near_and_far_poses_are_blurred_once_for_all() -> None:
+    """A paper board before a camera of 1368 x 912: near poses are drawn at 32 px/mm, far ones at 16."""
+    cache, fine, coarse = BlurredPictureCache(), np.zeros((1344, 1920), np.uint8), _half(672, 960)
+    asked = [(fine, 32.0, -46, -38), (coarse, 16.0, -47, -33), (fine, 32.0, -45, -34), (fine, 32.0, -47, -41)]
+
+    def blurred() -> list[BlurredPictures]:
+        return [
+            cache.blurred(picture, (scale, scale), SIZE_RATIO ** (first + 0.5), SIZE_RATIO ** (last + 0.5))
+            for picture, scale, first, last in asked
+        ]
+
+    blurred()
+    again = blurred()
+    assert all(a is b for a, b in zip(again, blurred(), strict=True))
 
 
 def test_more_sizes_change_nothing_for_those_that_were_there() -> None:
