@@ -12,11 +12,9 @@ from sim.light.cache import ByteLimitedCache, table_digest
 from sim.light.lamps import RoomLightAt
 from sim.light.mirrors import Mirrors
 from sim.light.plane import computed_motion
-from sim.light.table import LightTable, MotionTable
+from sim.light.table import BATCH_PATTERNS, LightTable, MotionTable
 from sim.scene import RenderScene, SubpixelView
-from sim.texture import MirrorTexture
-
-BATCH_PATTERNS = 16  # patterns that are looked up at once (chosen)
+from sim.texture import MirrorTexture, PatternTextures
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +37,7 @@ class DifferentiatedLight:
         """Compute what `Light.irradiance_at` gives, with derivatives by the places that the pixels see."""
         # returns irradiance (n, P), slopes (n, P, 4) mm
         table = self._trace_motion(pixels)
-        terms = np.concatenate([light for _, light in self._looked_up(table, patterns)])
+        terms = np.concatenate([table.look_up(textures) for _, textures in self._batches(table, patterns)])
         room, per_px = self.room(pixels), self.texture.affine[:, :2].astype(np.float32)
         irradiance = terms[..., 0] + room * table.table.albedo[0]
         if self.behind is not None:
@@ -59,9 +57,8 @@ class DifferentiatedLight:
         table, room = self._trace_motion(None), self.room(None)
         if self.erring is not None:
             table = replace(table, table=self.erring(table.table))
-        for first, terms in self._looked_up(table, patterns):
-            displaced = table.displaced(terms, moves[first : first + len(terms)], room)
-            for pattern, item in zip(patterns[first:], displaced, strict=False):
+        for few, textures in self._batches(table, patterns):
+            for pattern, item in zip(patterns[few], table.displaced(textures, moves[few], room), strict=True):
                 picture = item if self.behind is None else item + self.behind(pattern, None)
                 yield picture if self.falloff is None else picture * self.falloff
 
@@ -70,13 +67,10 @@ class DifferentiatedLight:
         key = table_digest(self.scene, self.views, *(() if pixels is None else (pixels,)))
         return self.motions.get(key, lambda: computed_motion(self.scene, self.views, pixels))
 
-    def _looked_up(
+    def _batches(
         self, table: MotionTable, patterns: tuple[Pattern, ...]
-    ) -> Iterator[tuple[int, PatternLevels]]:
+    ) -> Iterator[tuple[slice, PatternTextures]]:
         part = table.table.part(self.texture.shape)
         for first in range(0, len(patterns), BATCH_PATTERNS):
-            few = patterns[first : first + BATCH_PATTERNS]
-            yield (
-                first,
-                table.look_up(self.mirrors.textures(few, self.texture, self.scene.lamp.circles, part)),
-            )
+            few = slice(first, first + BATCH_PATTERNS)
+            yield few, self.mirrors.textures(patterns[few], self.texture, self.scene.lamp.circles, part)

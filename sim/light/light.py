@@ -36,14 +36,13 @@ from sim.light.mirrors import Mirrors, MirrorStates
 from sim.light.plane import can_compute, computed, computed_motion
 from sim.light.point_errors import displaced_by_errors, point_error_sizes
 from sim.light.solid import can_trace, traced
-from sim.light.table import LightTable, MotionTable
+from sim.light.table import BATCH_PATTERNS, LightTable, MotionTable
 from sim.scene import COLOURS, PatternRender, RenderScene, RenderSettings, SubpixelView
 from sim.sheet import surroundings_surfaces
 from sim.texture import MirrorTexture
 from sim.worker import Blender
 from sim.world import World
 
-BATCH_PATTERNS = 40  # patterns that are looked up at once, at most (chosen)
 TABLE_BYTES, CACHE_BYTES, POSE_BYTES = 3 << 27, 1 << 27, 1 << 25
 """Size of the tables that are kept, of the pictures, and of what is of use for a pose at a time.
 

@@ -196,15 +196,16 @@ def light_with_slopes(
     weights: NDArray[np.float32],
     samples: NDArray[np.float32],
     slopes: NDArray[np.float32],
+    begin: int,
     left: np.float32,
     top: np.float32,
     out: NDArray[np.float32],
 ) -> None:
-    """Look up samples as `interpolated_light` does, with the derivatives of the light."""
+    """Look up samples as `interpolated_light` does from a pixel on, with the derivatives of the light."""
     # textures (circles, rows, columns, patterns); weights (circles, STEPS + 1, TAPS); samples (views,
-    # pixels, 4); slopes (views, pixels, 2); out (patterns, pixels, 5)
+    # pixels, 4); slopes (views, pixels, 2); out (patterns, pixels that are looked up, 5)
     _, rows, columns, patterns = textures.shape
-    views, pixels, _ = samples.shape
+    views, pixels = len(samples), out.shape[1]
     texels, table = textures.reshape(-1), weights.reshape(-1)
     share, stride, reach = np.float32(1.0 / views), columns * patterns, WINDOW // 2
     for block in numba.prange((pixels + _PIXELS - 1) // _PIXELS):
@@ -214,10 +215,11 @@ def light_with_slopes(
             total[:] = 0
             level, column, row, first, low, high, sides = -1, 0, 0, 0, WINDOW, 0, 1
             for k in range(views):
-                x, y, circle = samples[k, p, 0] - left, samples[k, p, 1] - top, samples[k, p, 2]
+                q = begin + p
+                x, y, circle = samples[k, q, 0] - left, samples[k, q, 1] - top, samples[k, q, 2]
                 i, j = int(np.floor(x + np.float32(0.5))), int(np.floor(y + np.float32(0.5)))
                 inside = reach <= i < columns - reach and reach <= j < rows - reach
-                if not (samples[k, p, 3] > 0 and inside):
+                if not (samples[k, q, 3] > 0 and inside):
                     continue
                 if int(circle) != level or abs(i - column) > 1 or abs(j - row) > 1:
                     if level >= 0:
@@ -234,13 +236,13 @@ def light_with_slopes(
                 sides = max(sides, 2 if farther > 0 else 1)
                 for side in range(2 if farther > 0 else 1):
                     part = farther if side else np.float32(1.0) - farther
-                    weight = samples[k, p, 3] * part
+                    weight = samples[k, q, 3] * part
                     across = _interpolate_taps(table, level + side, x - np.float32(i))
                     down = _interpolate_taps(table, level + side, y - np.float32(j))
                     steep = _tap_slopes(table, level + side, x - np.float32(i))
                     _add_square(windows[0, side], start, weight, across, down)
-                    _add_square(windows[1, side], start, slopes[k, p, 0] * part, across, down)
-                    _add_square(windows[2, side], start, slopes[k, p, 1] * part, across, down)
+                    _add_square(windows[1, side], start, slopes[k, q, 0] * part, across, down)
+                    _add_square(windows[2, side], start, slopes[k, q, 1] * part, across, down)
                     _add_square(windows[3, side], start, weight, steep, down)
                     steep = _tap_slopes(table, level + side, y - np.float32(j))
                     _add_square(windows[4, side], start, weight, across, steep)

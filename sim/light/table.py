@@ -20,7 +20,10 @@ from sim.scene import ALBEDO, DIRECT, RenderScene, X, Y, Z
 from sim.texture import Part, PatternTextures
 
 Irradiance = NDArray[np.float32]  # arrays of a table, or pictures looked up in it
+RoomLevel = Irradiance | np.float32  # light of the room on all pixels, the same on each where it is one
 
+BATCH_PATTERNS = 40  # patterns that are looked up at once, at most (chosen)
+BATCH_PIXELS = 1 << 15  # whose derivatives of the light are held at once (chosen)
 MIN_WHITE = np.float32(0.02)
 """Share of full light, at the edge of the projector's outermost mirrors, below which it is not divided by."""
 
@@ -184,29 +187,33 @@ class MotionTable:
         own = self.slopes.nbytes + self.albedo_slopes.nbytes + self.motion.nbytes
         return self.table.nbytes + own
 
-    def look_up(self, textures: PatternTextures) -> Irradiance:
-        # returns (n, P, 5) mm
+    def look_up(self, textures: PatternTextures, pixels: slice = slice(None)) -> Irradiance:
+        # returns (n, P, 5) mm, of a range of the pixels
         assert textures.weights is not None
         views, h, w, _ = self.table.samples.shape
-        terms = np.empty((textures.texels.shape[-1], h * w, 5), np.float32)
+        first, end, _ = pixels.indices(h * w)
+        terms = np.empty((textures.texels.shape[-1], end - first, 5), np.float32)
         x, y = map(np.float32, textures.origin)
         flat = self.table.samples.reshape(views, h * w, 4)
-        light_with_slopes(textures.texels, textures.weights, flat, self.slopes, x, y, terms)
+        light_with_slopes(textures.texels, textures.weights, flat, self.slopes, first, x, y, terms)
         return terms
 
-    def displaced(self, terms: Irradiance, moves: Floats, room: Irradiance | np.float32) -> Irradiance:
+    def displaced(self, textures: PatternTextures, moves: Floats, room: RoomLevel) -> Irradiance:
         """Compute the light on the displaced item to first order, other light included."""
-        # terms (n, P, 5); moves (n, 3) mm; room (height, width); returns (n, height, width)
+        # moves (n, 3) mm; room (height, width); returns (n, height, width)
         _, h, w, _ = self.table.samples.shape
         left, top = self.table.corner
         height, width = self.table.albedo.shape
-        light = np.empty((len(terms), h * w), np.float32)
+        light = np.empty((len(moves), h * w), np.float32)
         even = np.broadcast_to(np.asarray(room, np.float32), self.table.albedo.shape)
         albedo, elsewhere = (
             values[top : top + h, left : left + w].ravel() for values in (self.table.albedo, even)
         )
-        _displace(terms, self.motion, moves, elsewhere, albedo, self.albedo_slopes, light)
-        pictures = np.zeros((len(terms), height, width), np.float32)
+        for first in range(0, h * w, BATCH_PIXELS):
+            few = slice(first, first + BATCH_PIXELS)
+            per_mm, other = self.motion[few], (elsewhere[few], albedo[few], self.albedo_slopes[few])
+            _displace(self.look_up(textures, few), per_mm, moves, *other, light[:, few])
+        pictures = np.zeros((len(moves), height, width), np.float32)
         pictures[:, top : top + h, left : left + w] = light.reshape(-1, h, w)
         return pictures
 

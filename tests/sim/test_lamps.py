@@ -174,7 +174,7 @@ def test_slopes_of_the_light_hold_for_the_lamps_light() -> None:
     assert without is not None
     lamp = lamp_light(of, build_scene(of, setup)[0], (rows, columns))
     more = slopes - without.at(PATTERNS, (rows, columns))[1]
-    table = without._motion((rows, columns))
+    table = without._trace_motion((rows, columns))
     true = np.broadcast_to(lamp[:, None] * table.albedo_slopes, (len(PATTERNS), len(lamp), 2))
     np.testing.assert_allclose(more[..., :2], true, atol=1e-6)
     np.testing.assert_allclose(more[..., 2:], 0.0, atol=1e-7)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
@@ -283,6 +284,24 @@ def test_light_of_a_displaced_board_agrees_with_a_moved_one(twin: Twin) -> None:
         wanted = 0.5 * (ends[0] - ends[1])
         (picture,) = with_slopes.displaced(patterns, move[None])
         assert np.mean(np.abs(picture - here - wanted)) < 0.02 * np.mean(np.abs(wanted)), axis
+
+
+def test_pixels_of_a_displaced_board_are_the_same_in_batches(
+    twin: Twin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    patterns, still = _patterns(twin)[:2], SceneState("board", held=twin.parameters.poses[1])
+    moves = np.array([[0.003, -0.002, 0.001], [0.0, 0.004, -0.003]])
+
+    def displaced() -> list[NDArray[np.float32]]:
+        light = twin._light.differentiated(still)
+        assert light is not None
+        return list(light.displaced(patterns, moves))
+
+    at_once = displaced()
+    monkeypatch.setattr("sim.light.table.BATCH_PIXELS", 701)
+    for one, other in zip(at_once, displaced(), strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-6)
+    assert np.ptp(at_once[0]) > 0
 
 
 def test_a_saved_twin_is_a_rig_that_gives_the_same_pictures(twin: Twin, tmp_path: Path) -> None:
