@@ -22,7 +22,7 @@ from fpplab.characterisation.correction import correct
 from fpplab.characterisation.working_volume import WorkingVolume, without_motion
 from fpplab.cli import console
 
-SEEDS, CHANGES = range(9500, 9560), 5
+SEEDS, CHANGES = range(9700, 9760), 5
 SIZES = (0.3, 5.0)
 """Range of the sizes of changes, in units of what happens unnoticed."""
 FRESH = 8

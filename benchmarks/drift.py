@@ -34,7 +34,7 @@ PLAN = Plan.load("plan_scan")
 WALK_PX = 0.3  # of the projector's picture from pose to pose
 SCAN_PX, SCAN_LIGHT = 0.5, 0.05  # by which picture and light change over a scan, in either direction
 CENTRE_PX = 0.1  # uncertainty of the projector's principal point in scans
-SEEDS = range(3000, 3020)
+SEEDS = range(3100, 3120)
 MIN_NAMED, RATIOS = 0.95, (0.8, 1.25)
 
 

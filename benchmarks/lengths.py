@@ -27,7 +27,7 @@ from fpplab.targets import Target
 from fpplab.workflows.demo import POSES
 from sim.items import item_poses
 
-SEEDS = range(9500, 9600)
+SEEDS = range(9700, 9800)
 PIXEL_STEP = 4
 """Every so manieth pixel of the camera sees the part."""
 RATIOS, COVERED = (0.9, 1.1), (0.93, 0.97)

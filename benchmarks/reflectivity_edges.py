@@ -1,9 +1,9 @@
 """Coordinates beside edges of reflectivity: their bias, the noise elsewhere, and whether σ covers them.
 
 Boards of the virtual bench are judged, and by `python -m benchmarks.reflectivity_edges TARGET SESSION…`
-recorded ones. Away from edges a smooth surface is fitted to the coordinates; beside edges across the fringes
-they are compared with it, towards the brighter side. The baseline is decoding without the correction, and
-twice its time.
+recorded ones. Away from edges a smooth surface is fitted to the coordinates, which follows boards that are
+not flat; beside edges across the fringes they are compared with it, towards the brighter side. The baseline
+is decoding without the correction, and twice its time.
 """
 
 import sys
@@ -15,7 +15,7 @@ from unittest.mock import patch
 
 import cv2
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from benchmarks import Result, above, below
 from fpplab.core import config
@@ -30,11 +30,14 @@ from fpplab.pipeline.taking import take_poses
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 
-RIG, SEEDS, POSES = "rig_demo", (71, 72), 2
+RIG, SEEDS, POSES = "rig_demo", (75, 76), 2
 """Judging seeds: others served to develop the correction."""
 NEAR_MM, FAR_MM, DEGREE = 0.5, 1.2, 8
+WARP_MM = 2.0
+"""Extent of what remains of a board's own shape, beyond the surface of that degree."""
 BINS = 5
 """Distances at which biases are taken, on either side of an edge."""
+COVERED = (0.92, 0.98)
 SLOWER, REPEATS = 2.0, 5
 """How many times as long decoding may take with the correction, and how often it is timed."""
 WRONG_PX = 4.0
@@ -60,6 +63,7 @@ def errors_beside_edges(
     coordinate = decoded.coordinate(axis).astype(np.float64)
     used = (area > 0) & np.isfinite(coordinate)
     fitted = _surface(coordinate, used, used & (np.abs(distance) > FAR_MM), decoded.modulation)
+    fitted += _warp(coordinate - fitted, used & (np.abs(distance) > FAR_MM), WARP_MM * px_per_mm)
     towards = np.stack(np.gradient(cv2.GaussianBlur(level, (0, 0), 1.5)))
     along = np.stack(np.gradient(fitted))
     cosine = (towards * along).sum(axis=0) / np.maximum(np.hypot(*towards) * np.hypot(*along), 1e-9)
@@ -90,6 +94,13 @@ def _surface(coordinate: Floats, used: Mask, far: Mask, modulation: Map) -> Floa
     return fitted
 
 
+def _warp(rest: Floats, far: Mask, extent_px: float) -> Floats:
+    """Smooth what a surface leaves far from edges, without outliers."""
+    far = far & (np.abs(rest) < 5.0 * robust_spread(rest[far]))
+    weight = gaussian_filter(far.astype(np.float64), extent_px)
+    return np.asarray(gaussian_filter(np.where(far, rest, 0.0), extent_px) / np.maximum(weight, 1e-9))
+
+
 def edge_figures(found: dict[str, Floats]) -> tuple[float, float, float]:
     """Bias near edges in px, noise elsewhere in px, and the share of points near edges that σ covers."""
     near, far = np.abs(found["distance"]) < NEAR_MM, np.abs(found["distance"]) > FAR_MM
@@ -114,7 +125,8 @@ def compared(name: str, recording: Recording, target: Target) -> list[Result]:
         results += [below(f"{name}_{axis}_bias", bias, "px", 0.25 * was)]
         results += [below(f"{name}_{axis}_noise_elsewhere", noise, "px", 1.02 * quiet)]
         if axis == recording.plan.axes[0]:
-            results += [above(f"{name}_{axis}_covered", covered, "share", 0.92)]
+            results += [above(f"{name}_{axis}_covered", covered, "share", COVERED[0])]
+            results += [below(f"{name}_{axis}_covered_at_most", covered, "share", COVERED[1])]
     return results
 
 

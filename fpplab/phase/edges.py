@@ -175,21 +175,23 @@ def _fit_tile(values: Map, weight: Map) -> tuple[Floats, Floats] | None:
 
 
 @cache
-def _polynomials() -> Map:
-    """Orthonormal ones along a tile's side, (side, degree + 1)."""
+def _polynomials() -> tuple[Map, Map, Mask]:
+    """Orthonormal ones along a tile's side, their products by pairs, and which go together along both."""
     ticks = np.vander(np.linspace(-1, 1, EDGES.tile_px), EDGES.degree + 1)[:, ::-1]
-    return np.linalg.qr(ticks)[0].astype(_f)
+    basis, orders = np.linalg.qr(ticks)[0].astype(_f), np.arange(EDGES.degree + 1)
+    pairs = (basis[:, :, None] * basis[:, None]).reshape(len(basis), -1)
+    return basis, pairs, np.add.outer(orders, orders) <= EDGES.degree
 
 
 def _without_surface(values: Map, used: Mask) -> Map:
-    """Take smooth surfaces off maps (K, side, side); what is not used follows them."""
-    basis, orders = _polynomials(), np.arange(EDGES.degree + 1)
-    keep = np.add.outer(orders, orders) <= EDGES.degree
-    smooth = np.mean(values, axis=(1, 2), where=used, keepdims=True)
-    for _ in range(1 if used.all() else EDGES.fill_passes):
-        filled = np.where(used, values, smooth)
-        smooth = basis @ (keep * (basis.T @ (filled @ basis))) @ basis.T
-    return np.asarray(values - smooth)
+    """Take smooth surfaces off maps (K, side, side), fitted to what is used."""
+    basis, pairs, keep = _polynomials()
+    level = values - np.mean(values, axis=(1, 2), where=used, keepdims=True)
+    right = (basis.T @ (np.where(used, level, _ZERO) @ basis))[:, keep]
+    normal = (pairs.T @ (used.astype(_f) @ pairs)).reshape(keep.shape * 2).swapaxes(1, 2)[keep][:, keep]
+    strengths = np.zeros((len(values), *keep.shape), _f)
+    strengths[:, keep] = np.linalg.solve(normal, right.T).T
+    return np.asarray(level - basis @ strengths @ basis.T)
 
 
 def _light(modulation: Map, mean: NDArray[Any]) -> Map:

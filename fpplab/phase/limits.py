@@ -377,7 +377,6 @@ class EdgeLimits(NamedTuple):
     degree: int = 3
     """Of the surface in a tile. Chosen: it follows parts that are smooth, and no edge."""
     fit_passes: int = 2  # passes of the fit, each without the outliers of the one before (chosen)
-    fill_passes: int = 2  # passes in which what is left out takes the surface's value (chosen)
     outlier_sigmas: float = 5.0  # residuals beyond this multiple of their spread are left out (chosen)
     clean_ratio: float = 1.5
     """What is left in a tile, beside its spread by the median, below which there are no outliers. Chosen."""

@@ -68,6 +68,16 @@ def test_a_blurred_edge_is_corrected_and_the_rest_is_in_sigma(
     assert 0.05 < decoded.edges.share < 0.9
 
 
+def test_dots_too_dark_to_be_measured_hide_no_blur() -> None:
+    v, u = (np.indices((FINE * 480,) * 2) + 0.5) / FINE - 0.5
+    true = 20.0 + 1.8 * u + 0.2 * v + 2e-4 * (u - 190.0) ** 2
+    dots = np.hypot((u + 0.13 * v) % 40 - 20, (v - 0.13 * u) % 40 - 20) < 9
+    decoded = decode(captured(true, 1.0 - 0.995 * dots, 0.15))
+    assert not decoded.valid.all()
+    assert decoded.edges is not None
+    assert decoded.edges.is_corrected
+
+
 def test_an_image_too_small_to_tell_its_blur_has_the_error_in_sigma() -> None:
     recording, true, apart = printed(300, tail=0.0)
     decoded = decode(recording)
