@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -232,6 +233,10 @@ class Twin:
         still = SceneState(item, held=pose, error_draw=error_draw(pose))
         counters = self.frame_counter.take(len(shown))
         changes, shares = Fluctuation.of(self.world), self._filter(item)
+        # Pictures are made one by one while others are exposed: all at once would be of some 200 MB. The
+        # first traces the rays, with their derivatives, that the light of the room needs too.
+        pictures = self._levels_of_vibrating_frames(still, pose, shown, counters)
+        first = next(pictures)
         ambient = None if changes is None else self._light.irradiance(still, None)
 
         def exposed(picture: PatternLevels, number: int) -> Image:
@@ -239,10 +244,8 @@ class Twin:
                 picture = changes.applied(picture, ambient, np.arange(len(ambient)), number)
             return sensor.expose(picture if shares is None else picture * shares, settings, number)
 
-        # Pictures are made one by one while others are exposed: all at once would be of some 200 MB.
-        pictures = self._levels_of_vibrating_frames(still, pose, shown, counters)
         with ThreadPoolExecutor() as pool:
-            return list(pool.map(exposed, pictures, counters))
+            return list(pool.map(exposed, chain((first,), pictures), counters))
 
     def _levels_of_vibrating_frames(
         self, still: SceneState, pose: RigidTransform, shown: tuple[Pattern, ...], counters: range

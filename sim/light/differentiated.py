@@ -29,9 +29,8 @@ class DifferentiatedLight:
     falloff: PatternLevels | None  # of the camera's lens, (height, width)
     motions: ByteLimitedCache[MotionTable]  # tables of last time
     behind: Callable[[Pattern, PixelIndices | None], PatternLevels] | None = None  # (height, width)
-    erring: Callable[[LightTable], LightTable] | None = (
-        None  # displaces samples by errors of a board's points
-    )
+    # displaces samples by errors of a board's points
+    erring: Callable[[Callable[[], LightTable]], LightTable] | None = None
 
     def at(self, patterns: tuple[Pattern, ...], pixels: PixelIndices) -> tuple[PatternLevels, PatternLevels]:
         """Compute what `Light.irradiance_at` gives, with derivatives by the places that the pixels see."""
@@ -56,7 +55,8 @@ class DifferentiatedLight:
         # moves (n, 3) mm; returns (height, width)
         table, room = self._trace_motion(None), self.room(None)
         if self.erring is not None:
-            table = replace(table, table=self.erring(table.table))
+            exact = table.table
+            table = replace(table, table=self.erring(lambda: exact))
         for few, textures in self._batches(table, patterns):
             for pattern, item in zip(patterns[few], table.displaced(textures, moves[few], room), strict=True):
                 picture = item if self.behind is None else item + self.behind(pattern, None)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -182,15 +182,15 @@ class Light:
         """Get the direct light on all that is in view, from memory, from disk, or rendered."""
         if not self._has_point_errors(setup):
             return self._exact_table(setup)
-        return self._erring.get(setup, lambda: self._with_point_errors(setup, self._exact_table(setup)))
+        return self._with_point_errors(setup, lambda: self._exact_table(setup))
 
     def _has_point_errors(self, setup: SceneState) -> bool:
         has_board = setup.error_draw is not None and setup.item in self._world.items
         return has_board and point_error_sizes(self._world) is not None
 
-    def _with_point_errors(self, setup: SceneState, table: LightTable) -> LightTable:
-        _, _, texture = self._built(setup)
-        return displaced_by_errors(self._world, setup, table, texture.affine[:, :2])
+    def _with_point_errors(self, setup: SceneState, exact: Callable[[], LightTable]) -> LightTable:
+        to_texel = self._built(setup)[2].affine[:, :2]
+        return self._erring.get(setup, lambda: displaced_by_errors(self._world, setup, exact(), to_texel))
 
     def _exact_table(self, setup: SceneState) -> LightTable:
         _, scene, _ = self._built(setup)

@@ -20,7 +20,8 @@ from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import SceneState
-from sim.light import Light, ShownPattern
+from sim.light import Light, ShownPattern, plane
+from sim.light.point_errors import displaced_by_errors
 from sim.matching.loss import board_mask, subsample_pixels
 from sim.matching.steps import SAMPLED_POSES
 from sim.parameters import TwinParameters
@@ -302,6 +303,31 @@ def test_pixels_of_a_displaced_board_are_the_same_in_batches(
     for one, other in zip(at_once, displaced(), strict=True):
         np.testing.assert_allclose(other, one, rtol=1e-6)
     assert np.ptp(at_once[0]) > 0
+
+
+def test_rays_of_a_pose_are_traced_once_for_its_frames(twin: Twin, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fringes of a board that vibrates need derivatives; light of the room, of the same rays, does not."""
+    changed = {
+        "vibration_mm": 0.003,
+        "projector_flicker": 0.01,
+        "ambient": 0.02,
+        "pose_errors_px": (0.1, 0.1),
+    }
+    twin = twin.with_parameters(replace(twin.parameters, **changed))
+    calls = []
+
+    def counting(name: str, work: Callable[..., Any]) -> Callable[..., Any]:
+        def counted(*inputs: Any, **named: Any) -> Any:
+            calls.append(name)
+            return work(*inputs, **named)
+
+        return counted
+
+    monkeypatch.setattr(plane, "_trace_tables", counting("rays", plane._trace_tables))
+    errors = counting("errors", displaced_by_errors)
+    monkeypatch.setattr("sim.light.light.displaced_by_errors", errors)
+    twin.frames(1, _patterns(twin), SETTINGS)
+    assert calls == ["rays", "errors"]
 
 
 def test_a_saved_twin_is_a_rig_that_gives_the_same_pictures(twin: Twin, tmp_path: Path) -> None:
