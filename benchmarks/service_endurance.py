@@ -12,9 +12,8 @@ from benchmarks.service import SMALL, replayed, served_rig
 from fpplab.service.client import ServiceClient, ServiceError
 from fpplab.sessions.session import Session
 
-SCANS, SETTLED = 1000, 400
-"""Scans of one service, and those after which nothing may grow: with 40 reports the drawing library's caches and
-the allocator's pools are full (from 50 scans to 300 a service grows by 6 %, from 300 to 1000 by nothing)."""
+SCANS, SETTLED = 1000, 50
+"""Scans of one service, and those after which nothing may grow."""
 REPORT_EVERY = 10  # scans: a report takes twice the time of a scan
 KILLS = 50
 MOST_GROWTH = 1.01

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import logging
 import threading
@@ -91,7 +92,10 @@ class ScanQueue:
 
     def work_once(self, timeout_s: float) -> None:
         with contextlib.suppress(Empty):
-            self._carry_out(*self._waiting.get(timeout=timeout_s))
+            number, order = self._waiting.get(timeout=timeout_s)
+            self._carry_out(number, order)
+            if order.report:
+                gc.collect()  # its figures refer to themselves, and hold tens of megabytes until then
 
     def _carry_out(self, number: int, order: ScanOrder) -> None:
         end: dict[str, Any]
