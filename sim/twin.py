@@ -27,6 +27,7 @@ from fpplab.core.conventions import Floats, Image, Map, PixelIndices
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import write_text
 from fpplab.core.geometry import RigidTransform
+from fpplab.core.progress import ignore
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.mosaic import Bayer
@@ -46,10 +47,6 @@ from sim.world.camera import ColourFilter
 
 ExpectedLevels = NDArray[np.float32]
 """Raw levels without noise and without rounding, (n, h, w), clipped to 0 … full scale."""
-
-
-def do_nothing() -> None:
-    """Do nothing before images are computed."""
 
 
 class Lights:
@@ -115,7 +112,7 @@ class Twin:
     frame_counter: FrameCounter
     appearance: Appearance | None = None  # of sheet and surroundings, where it is not the file's own
     files: TemporaryFolder | None = None  # of the appearance
-    before_images: Callable[[], object] = do_nothing  # called before images of the board are computed
+    before_images: Callable[[], object] = ignore  # called before images of the board are computed
 
     @classmethod
     def of(cls, nominal: World, board: str, blender: Blender) -> Twin:
