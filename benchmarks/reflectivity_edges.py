@@ -30,7 +30,7 @@ from fpplab.pipeline.taking import take_poses
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 
-RIG, SEEDS, POSES = "rig_demo", (75, 76), 2
+RIG, SEEDS, POSES = "rig_demo", (77, 78), 2
 """Judging seeds: others served to develop the correction."""
 NEAR_MM, FAR_MM, DEGREE = 0.5, 1.2, 8
 WARP_MM = 2.0

@@ -139,6 +139,8 @@ def _has_edges(modulation: Map) -> bool:
 def _fitted(normal: Floats, right: Floats) -> EdgeBlur | None:
     """Strengths of all tiles together, of those terms that they determine, and their scatter."""
     # normal (T, 2, 2); right (T, 2)
+    agreeing = _agreeing(normal, right)
+    normal, right = normal[agreeing], right[agreeing]
     used, whole = np.array([True, True]), normal.sum(axis=0)
     while used.any():
         strengths, covariance, kept = np.zeros(2), np.zeros((2, 2)), np.ix_(used, used)
@@ -154,6 +156,19 @@ def _fitted(normal: Floats, right: Floats) -> EdgeBlur | None:
             return EdgeBlur(strengths, covariance)
         used[np.flatnonzero(used)[ratio.argmin()]] = False
     return None
+
+
+def _agreeing(normal: Floats, right: Floats) -> Mask:
+    """Find tiles that agree, all if few do; one over a border holds two surfaces, and tells no blur."""
+    weight, inverse = np.ones(len(right)), np.linalg.pinv(normal, hermitian=True)
+    for _ in range(EDGES.agreement_rounds):
+        whole = np.linalg.pinv(np.tensordot(weight, normal, 1), hermitian=True)
+        rest = right - normal @ (whole @ (weight @ right))
+        size = np.sqrt(np.einsum("ti,tij,tj->t", rest, inverse, rest))
+        weight = 1.0 / np.maximum(size, 1.0)
+    spread = np.median(size) / np.sqrt(2.0 * np.log(2.0))  # of normal errors in two strengths
+    agreeing = np.asarray(size < EDGES.outlier_sigmas * max(1.0, float(spread)))
+    return agreeing if agreeing.mean() > EDGES.min_agreeing else np.ones_like(agreeing)
 
 
 def _fit_tile(values: Map, weight: Map) -> tuple[Floats, Floats] | None:

@@ -378,6 +378,9 @@ class EdgeLimits(NamedTuple):
     """Of the surface in a tile. Chosen: it follows parts that are smooth, and no edge."""
     fit_passes: int = 2  # passes of the fit, each without the outliers of the one before (chosen)
     outlier_sigmas: float = 5.0  # residuals beyond this multiple of their spread are left out (chosen)
+    agreement_rounds: int = 10  # of a fit that disagreeing tiles do not pull (chosen: it has settled)
+    min_agreeing: float = 0.6
+    """Share of agreeing tiles above which others are left out. Chosen: fewer may agree on what is wrong."""
     clean_ratio: float = 1.5
     """What is left in a tile, beside its spread by the median, below which there are no outliers. Chosen."""
     tail_px: float = 4.0

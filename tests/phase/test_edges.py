@@ -78,6 +78,18 @@ def test_dots_too_dark_to_be_measured_hide_no_blur() -> None:
     assert decoded.edges.is_corrected
 
 
+def test_borders_between_surfaces_do_not_change_the_blur() -> None:
+    v, u = (np.indices((FINE * 640,) * 2) + 0.5) / FINE - 0.5
+    true, beyond = 20.0 + 1.2 * u + 0.1 * v, np.hypot(u - 320, v - 320) - 190
+    ink = (np.floor((u + 0.13 * v) / 37.0) + np.floor((v - 0.13 * u) / 37.0)) % 2
+    alone = decode(captured(true, 1.0 - 0.8 * ink, 0.15)).edges
+    behind, brightness = true + 0.1 * beyond - 2.0, np.where(beyond > 0, 0.12, 1.0 - 0.8 * ink)
+    beside = decode(captured(np.where(beyond > 0, behind, true), brightness, 0.15)).edges
+    assert alone is not None
+    assert beside is not None
+    np.testing.assert_allclose(beside.strengths, alone.strengths, rtol=0.15)
+
+
 def test_an_image_too_small_to_tell_its_blur_has_the_error_in_sigma() -> None:
     recording, true, apart = printed(300, tail=0.0)
     decoded = decode(recording)
