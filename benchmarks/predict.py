@@ -265,8 +265,8 @@ def errors_in_sigmas(found: TwinParameters, truth: TwinParameters) -> dict[str, 
     Images know the print only relative to its ground, so `ink` is compared as a share of `paper`.
     """
     errors = {
-        name: (knob.read(found) - knob.read(truth)) / found.sigma[name]
-        for name, knob in ADJUSTABLE.items()
+        name: _error_of(name, found, truth) / found.sigma[name]
+        for name in ADJUSTABLE
         if found.sigma.get(name, 0.0) > 0 and name not in CONFOUNDED
     }
     if "ink" in errors:
@@ -276,6 +276,13 @@ def errors_in_sigmas(found: TwinParameters, truth: TwinParameters) -> dict[str, 
         here, there = (_parameter(one.calibration, name) for one in (found, truth))
         errors[name] = (here - there) / sigma
     return errors
+
+
+def _error_of(name: str, found: TwinParameters, truth: TwinParameters) -> float:
+    if None in (getattr(found, name, 0.0), getattr(truth, name, 0.0)):
+        return np.inf  # a lens that one of them takes for sharp at all distances
+    read = ADJUSTABLE[name].read
+    return read(found) - read(truth)
 
 
 def _parameter(calibration: Calibration, name: str) -> float:
