@@ -21,7 +21,7 @@ SHOWN = {
     "index.html": "fpplab",
     "tutorial/first-scan.html": "Your first scan",
     "tour.html": "A tour: one measurement, with pictures",
-    "gallery.html": "Gallery: a good scan and typical faults",
+    "gallery.html": "Gallery: good scans, difficult parts and typical faults",
     "how-to/your-part-in-the-twin.html": "Your own part in the simulation",
     "explanation/architecture.html": "Architecture in five minutes",
     "reference/commands.html": "Commands",
