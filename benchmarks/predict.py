@@ -238,7 +238,7 @@ def matched(
 
 
 def predictions(rig: Path, questions: Sequence[Question]) -> dict[str, Prediction]:
-    """ComparedFigure questions by a twin."""
+    """Answer questions by a twin."""
     with Rig.load(rig) as twin:
         return {one.name: predict(twin, one.loaded(), one.item) for one in questions}
 
