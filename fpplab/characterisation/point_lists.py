@@ -38,7 +38,7 @@ def load_point_list(source: PointListSource, target: Target) -> list[Observation
     # board, from its centre or from its first point), `camera_u`, `camera_v`, `projector_u`, `projector_v` in
     # px. They are parted by commas, semicolons or tabs. The centre of a device's first pixel is (0, 0).
     rows = _rows(source.path)
-    ids = _ids(source.path, rows, target)
+    ids = _match_rows_to_target(source.path, rows, target)
     pixels = np.column_stack([_numbers(source.path, rows, name) for name in PIXELS])
     for device, size, columns in (
         ("camera", source.camera_size, slice(0, 2)),
@@ -103,7 +103,7 @@ def _numbers(path: Path, rows: Mapping[str, Sequence[str]], name: str) -> Floats
     return values
 
 
-def _ids(path: Path, rows: Mapping[str, Sequence[str]], target: Target) -> NDArray[np.intp]:
+def _match_rows_to_target(path: Path, rows: Mapping[str, Sequence[str]], target: Target) -> NDArray[np.intp]:
     """Find the row of the target's points that each row of the table means."""
     points = target.points()[:, :2]
     if "id" in rows:

@@ -64,8 +64,8 @@ def colours_at(levels: Map, bayer: Bayer, pixels: NDArray[np.int32]) -> Floats:
     return np.stack(channels, axis=1).astype(np.float64)
 
 
-def shares_of(colours: Floats) -> tuple[float, float, float]:
-    """Shares of red, green and blue in the brighter half, which is white; their mean over a mosaic is 1."""
+def white_levels(colours: Floats) -> tuple[float, float, float]:
+    """Relative levels of red, green and blue of the brighter half, taken for white; mean over a mosaic 1."""
     # colours (N, 3)
     level = colours @ [0.25, 0.5, 0.25]
     red, green, blue = colours[level >= np.median(level)].sum(axis=0)

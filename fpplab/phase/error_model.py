@@ -97,7 +97,7 @@ def misfit_limits(errors: CommonErrors) -> tuple[float, float, float]:
 
 @remembered
 def error_model_of(recording: Recording) -> ErrorModel:
-    plan, samples = recording.plan, _sample_pixels(recording)
+    plan, samples = recording.plan, _sampled_levels_by_set(recording)
     usable = _find_usable_pixels(samples, full_scale(recording.bits))
     drifts = pointing_drifts([sample[:, usable] for sample in samples], recording)
     sizes = [axis_length(recording.projector_size, fringe.axis) for fringe in plan.fringes]
@@ -134,7 +134,7 @@ def _sequences(recording: Recording) -> list[WavelengthSequence]:
         return []
 
 
-def _sample_pixels(recording: Recording) -> list[Image]:
+def _sampled_levels_by_set(recording: Recording) -> list[Image]:
     """A sparse sample of pixels of each set, (N, P): whole cache lines of a few rows."""
     height, width = recording.frames[0].shape
     rows = max(1, height // NOISE.sample_rows)

@@ -27,7 +27,7 @@ from fpplab.characterisation.observation import board_shift_px
 from fpplab.core import config
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress
-from fpplab.patterns.mosaic import shares_of
+from fpplab.patterns.mosaic import white_levels
 from fpplab.phase import decode
 from fpplab.pipeline.decoding import fault_in_step, plan_fault
 from fpplab.pipeline.marks import correct_by_marks
@@ -105,7 +105,7 @@ def _board_colours(
     cv2.fillConvexPoly(inside, cv2.convexHull(np.rint(observations[0].camera_px).astype(np.int32)), (1,))
     v, u = np.nonzero(inside)
     colours = recording.colours(np.stack([u, v], axis=1).astype(np.int32))
-    return None if colours is None else shares_of(colours)
+    return None if colours is None else white_levels(colours)
 
 
 def require_plan_fits(session: Session) -> None:

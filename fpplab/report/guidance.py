@@ -38,13 +38,13 @@ def guided_section(run: GuidedRun) -> ReportSection:
 def sequence_figure(run: GuidedRun) -> Figure:
     figure = new_figure(FULL, 3.4)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
-    _draw_form(figure.add_subplot(grid[:, 0]), run)
+    _draw_form_uncertainty(figure.add_subplot(grid[:, 0]), run)
     _draw_residuals(figure.add_subplot(grid[0, 1]), run.attempts, "camera")
     _draw_residuals(figure.add_subplot(grid[1, 1]), run.attempts, "projector")
     return figure
 
 
-def _draw_form(axes: Axes, run: GuidedRun) -> None:
+def _draw_form_uncertainty(axes: Axes, run: GuidedRun) -> None:
     forms = [
         (k, 1e3 * attempt.form_mm) for k, attempt in enumerate(run.attempts, 1) if attempt.form_mm is not None
     ]
@@ -56,9 +56,8 @@ def _draw_form(axes: Axes, run: GuidedRun) -> None:
     axes.set(
         yscale="log", xlabel="pose", ylabel="uncertainty of form in µm", xlim=(0.4, len(run.attempts) + 0.6)
     )
-    for axis in (axes.yaxis,):
-        axis.set_major_formatter(ScalarFormatter())
-        axis.set_minor_formatter(ScalarFormatter())
+    axes.yaxis.set_major_formatter(ScalarFormatter())
+    axes.yaxis.set_minor_formatter(ScalarFormatter())
     axes.tick_params(axis="y", which="minor", labelsize=6.5)
 
 

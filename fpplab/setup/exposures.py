@@ -96,10 +96,11 @@ class SceneLight:
         axis, fringes = plan.axes[0], plan.fringe_part
         measured, information = np.isfinite(self.offset), np.zeros(len(self.offset))
         if codes := sets_of_axis(plan, axis, with_fringes=axis in axes_by_codes(plan, size)):
-            kinds = tuple(plan.sets[k] for k in codes)
-            measured, noise = self._code_noise(plan.masks, kinds, (axis, size), exposures_s)
+            sets = tuple(plan.sets[k] for k in codes)
+            measured, noise = self._code_noise(plan.masks, sets, (axis, size), exposures_s)
         if fringes is None or axis in axes_by_codes(plan, size):
-            return measured, _code_spread(kinds, axis, size, noise)
+            uncertainties = _tabulate_code_uncertainty(sets, axis, size)
+            return measured, np.where(np.isfinite(noise), np.interp(noise, *uncertainties), np.inf)
         length, finest = axis_length(size, axis), fringes.finest.stripes
         for k in fringes.sets_along(axis):
             fringe = fringes.fringes[k]
@@ -130,14 +131,14 @@ class SceneLight:
     def _code_noise(
         self,
         masks: MaskRules,
-        kinds: tuple[PatternSet, ...],
+        sets: tuple[PatternSet, ...],
         place: tuple[Axis, tuple[int, int]],
         exposures_s: Sequence[float],
     ) -> tuple[Mask, Floats]:
         """Which pixels see all images of codes, and the noise of their levels over the modulation."""
         length = axis_length(place[1], place[0])
         at = (length - 1.0) * np.random.default_rng(0).random(len(self.offset))  # a pixel sees any coordinate
-        shown = [each.light(step, at, length) for each in kinds for step in range(each.images)]
+        shown = [each.light(step, at, length) for each in sets for step in range(each.images)]
         half = np.where(np.isfinite(self.modulation), self.modulation, 0.0)
         swing = half[:, None] * (2.0 * np.stack(shown, axis=1) - 1.0)
         light = np.where(np.isfinite(self.offset), self.offset, np.inf)[:, None] + swing
@@ -170,16 +171,13 @@ class SceneLight:
 
 
 @lru_cache(maxsize=8)  # one plan is asked for many exposures
-def _code_spreads(kinds: tuple[PatternSet, ...], axis: Axis, size: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Noise of levels over the modulation, and what uncertainty in px it gives."""
-    table = code_table(kinds, axis, size, Lattice.SQUARE, CODES.usual_blur_px)
+def _tabulate_code_uncertainty(
+    sets: tuple[PatternSet, ...], axis: Axis, size: tuple[int, int]
+) -> tuple[Floats, Floats]:
+    # returns noise of levels over the modulation, and the uncertainty in px that it gives
+    table = code_table(sets, axis, size, Lattice.SQUARE, CODES.usual_blur_px)
     noise = np.geomspace(*SEARCH.noise_range, SEARCH.grid)
     return noise, np.array([code_uncertainty(table, each, CODES.apart_px)[0] for each in noise])
-
-
-def _code_spread(kinds: tuple[PatternSet, ...], axis: Axis, size: tuple[int, int], noise: Floats) -> Floats:
-    shares, spreads = _code_spreads(kinds, axis, size)
-    return np.where(np.isfinite(noise), np.interp(noise, shares, spreads), np.inf)
 
 
 def _loss(used: Mask, cosine: Floats, sine: Floats) -> Floats:

@@ -50,4 +50,4 @@ class AcceptanceView(MeasurementView):
             f"**{acceptance.standard.name}: {VERDICTS[acceptance.passed]}**\n\n"
             f"| | worst µm | permitted µm | |\n|---|---|---|---|\n{rows}",
         )
-        self.canvas.layout(self.arrangement([shown]))
+        self.canvas.arrange(self.arrangement([shown]))

@@ -68,11 +68,11 @@ class Canvas:
         if live is not None:
             live.disconnect()
 
-    def layout(self, content: Any) -> None:
+    def arrange(self, views: Any) -> None:
         import rerun.blueprint as rrb
 
         plan = rrb.Blueprint(
-            content,
+            views,
             rrb.BlueprintPanel(state="collapsed"),
             rrb.SelectionPanel(state="collapsed"),
             rrb.TimePanel(state="collapsed"),

@@ -87,7 +87,7 @@ class LiveView(CommandView):
         self._pattern_id = self._state_text = ""
         for entity, (name, colour) in CURVES.items():
             self.canvas.curve_style(entity, name, colour)
-        self.canvas.layout(self.arrangement(layouts.image("Projector", f"/{PATTERN}")))
+        self.canvas.arrange(self.arrangement(layouts.image("Projector", f"/{PATTERN}")))
 
     def arrangement(self, below: Any) -> Any:
         import rerun.blueprint as rrb
@@ -125,7 +125,7 @@ class LiveView(CommandView):
             "/world/working",
         ]
         scene = layouts.scene("Scene: overlap green, working distance yellow", contents)
-        self.canvas.layout(self.arrangement(scene))
+        self.canvas.arrange(self.arrangement(scene))
 
     def _draw_overlap(self, geometry: RigGeometry, distance_mm: float | None) -> None:
         import rerun as rr

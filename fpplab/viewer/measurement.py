@@ -69,7 +69,7 @@ class MeasurementView(CommandView):
         self._shown_calibration: Calibration | None = None
         self._shown_frames: dict[int, NDArray[np.generic]] = {}
         self.canvas.directions("world")
-        self.canvas.layout(self.arrangement())
+        self.canvas.arrange(self.arrangement())
 
     def arrangement(self, colourings: Sequence[Colouring] = ()) -> Any:
         """Lay out scenes on the left and images on the right; coordinates of the coded axes only."""
@@ -114,7 +114,7 @@ class MeasurementView(CommandView):
 
     def plan(self, plan: Plan, size: tuple[int, int], lattice: Lattice) -> None:
         self._shown_plan = (plan, size, lattice)
-        self.canvas.layout(self.arrangement())
+        self.canvas.arrange(self.arrangement())
 
     def frame(self, frame: ShownFrame) -> None:
         self.canvas.at("frame", frame.index)
@@ -171,7 +171,7 @@ class MeasurementView(CommandView):
         for colouring in shown:
             self.canvas.cloud(colouring.entity, cloud.points, colouring.scale.colours_of(colouring.values))
             self.canvas.bar(f"bars/{colouring.entity}", colouring.scale)
-        self.canvas.layout(self.arrangement(shown))
+        self.canvas.arrange(self.arrangement(shown))
 
     def cloud(self, cloud: Cloud) -> None:
         if cloud.rgb is not None:

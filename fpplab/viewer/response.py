@@ -23,7 +23,7 @@ class ResponseView(CommandView):
             layouts.text_view("Fit", "/words/fit"),
             row_shares=[3, 3, 1],
         )
-        self.canvas.layout(rrb.Horizontal(layouts.image("Camera", "/images/camera"), right))
+        self.canvas.arrange(rrb.Horizontal(layouts.image("Camera", "/images/camera"), right))
 
     def frame(self, level: int, frame: ShownFrame) -> None:
         full = (1 << frame.bits) - 1

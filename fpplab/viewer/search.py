@@ -36,7 +36,7 @@ class SearchView(CommandView):
             layouts.text_view("Optimum and front", "/words/optimum"),
             row_shares=[3, 2],
         )
-        self.canvas.layout(rrb.Horizontal(left, rrb.Vertical(*curves), column_shares=[5, 4]))
+        self.canvas.arrange(rrb.Horizontal(left, rrb.Vertical(*curves), column_shares=[5, 4]))
 
     def epoch(self, epoch: SearchEpoch) -> None:
         self._measured += [trial for trial in epoch.trials if trial.measured]

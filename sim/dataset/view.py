@@ -34,7 +34,7 @@ class SampleView(CommandView):
             *maps,
             layouts.image("Normals", "/sample/normals"),
         ]
-        self.canvas.layout(
+        self.canvas.arrange(
             rrb.Horizontal(
                 rrb.Grid(*images, grid_columns=3),
                 layouts.text_view("Scene", "/words/scene"),

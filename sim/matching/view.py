@@ -50,7 +50,7 @@ class MatchingView(CommandView):
             layouts.text_view("Epoch", "/words/epoch"),
             row_shares=[3, 2, 2, 2],
         )
-        self.canvas.layout(rrb.Horizontal(images, curves, column_shares=[5, 4]))
+        self.canvas.arrange(rrb.Horizontal(images, curves, column_shares=[5, 4]))
 
     def epoch(self, epoch: MatchingEpoch) -> None:
         """Show an epoch: the twin's devices and boards, and the loss with its parts."""

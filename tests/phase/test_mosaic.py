@@ -9,7 +9,7 @@ import pytest
 
 from fpplab.core import config
 from fpplab.core.conventions import Floats, Map
-from fpplab.patterns.mosaic import Bayer, colour_factors, colours_at, shares_of, without_mosaic
+from fpplab.patterns.mosaic import Bayer, colour_factors, colours_at, white_levels, without_mosaic
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import MergedLevels, Recording
 from fpplab.phase import Decoded, decode
@@ -80,7 +80,7 @@ def test_points_have_the_colours_of_the_part(bayer: Bayer) -> None:
     assert colours is not None
     expected = 0.98 * 255.0 * 0.9 * np.array(PIXELS)  # without black level and ambient light
     np.testing.assert_allclose(np.median(colours, axis=0), expected, rtol=0.02)
-    np.testing.assert_allclose(shares_of(colours), np.array(PIXELS) / 0.6125, rtol=0.02)
+    np.testing.assert_allclose(white_levels(colours), np.array(PIXELS) / 0.6125, rtol=0.02)
     assert replace(seen, bayer=None).colours(pixels) is None
 
 

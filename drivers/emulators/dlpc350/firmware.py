@@ -170,7 +170,7 @@ class Dlpc350(LightEngine):
         return self.clock.now() < self._validated_s
 
     def _table_bytes(self) -> bytes:
-        entries, images = self._counts()
+        entries, images = self._entry_and_image_counts()
         if self._open() is Mailbox.PATTERNS:
             return self._tables.pattern_bytes(entries)
         if self._open() is Mailbox.IMAGES:
@@ -314,13 +314,13 @@ class Dlpc350(LightEngine):
 
     # --- the sequence
 
-    def _counts(self) -> tuple[int, int]:
+    def _entry_and_image_counts(self) -> tuple[int, int]:
         config = protocol.VARIABLE_CONFIG if self._is_variable() else protocol.PATTERN_CONFIG
         values = self._registers[config.number]
         return values["entries"], values["images"]
 
     def _entries(self) -> list[Values]:
-        return self._tables.entries(self._is_variable(), self._counts()[0])
+        return self._tables.entries(self._is_variable(), self._entry_and_image_counts()[0])
 
     def _times_us(self) -> list[tuple[int, int]]:
         if self._is_variable():
@@ -329,7 +329,7 @@ class Dlpc350(LightEngine):
         return [(times["exposure_us"], times["period_us"])] * len(self._entries())
 
     def _images(self) -> list[int]:
-        return self._tables.images_shown(self._counts()[1])
+        return self._tables.images_shown(self._entry_and_image_counts()[1])
 
     def _is_from_flash(self) -> bool:
         return self._registers[protocol.PATTERN_SOURCE.number]["source"] == Source.FLASH
@@ -342,7 +342,7 @@ class Dlpc350(LightEngine):
             self._entries(),
             self._times_us(),
             self._images(),
-            self._counts(),
+            self._entry_and_image_counts(),
             len(self.images) if flash else None,
             None if flash else 1e6 * (self.video.vsync_s if self.video else 0.0),
             self.policy.accepts_a_gap_of_230_us,
