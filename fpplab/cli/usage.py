@@ -73,7 +73,7 @@ def usage_sentence(error: Any, words: Sequence[str], context: Any) -> str | None
             param = next((each for each in params if error.option_name in each.opts), None)
             return None if param is None else _too_few_values(param, _values(words, error.option_name, 1))
         case "BadParameter" if param is not None:
-            return _wrong_value(param, str(error.message), words)
+            return _wrong_value(param, error, words)
         case "UsageError" if extra := re.search(r"unexpected extra argument\S* \((.*)\)", error.message):
             return _unexpected(path, extra[1], params, words)
         case "UsageError" | "BadArgumentUsage":
@@ -159,11 +159,13 @@ def _too_few_values(param: Any, given: Sequence[str]) -> str:
     return f"{sentence}, and {shown}: {_purpose(param)}"
 
 
-def _wrong_value(param: Any, message: str, words: Sequence[str]) -> str:
-    option = max(param.opts, key=len)
+def _wrong_value(param: Any, error: Any, words: Sequence[str]) -> str:
+    option, message = max(param.opts, key=len), str(error.message)
     option = option if option.startswith("-") else _metavar(param)
     count = max(param.nargs, 1)
     values = next((given for name in param.opts if (given := _values(words, name, count))), [])
+    if not values and hasattr(error.__cause__, "errors"):  # of an argument, which no option precedes
+        values = [str(each["input"]) for each in error.__cause__.errors()]
     if (count > 1 and len(values) < count) or (values and _PAIR.fullmatch(values[0]) and count > 1):
         return _too_few_values(param, values)
     if choices := _CHOICES.search(message):

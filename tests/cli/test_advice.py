@@ -3,15 +3,16 @@
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
+import typer
 from typer.main import get_command
 from typer.testing import CliRunner
 
 from fpplab import Calibration, __version__
 from fpplab.cli.advice import OPTION_SYNONYMS, SYNONYMS, unknown_command, unknown_option
-from fpplab.cli.app import RARE
+from fpplab.cli.app import RARE, Commands
 from fpplab.cli.every import app
 from fpplab.cli.lists import global_first
 from fpplab.core.config import find_config, shipped_configs
@@ -99,6 +100,22 @@ def test_words_that_are_no_commands_name_the_right_one(word: str, command: str) 
     said = refusal(word)
     assert said.startswith(f"there is no command '{word}'; ")
     assert f"`fpplab {command}" in said
+
+
+@pytest.mark.parametrize(
+    ("word", "rule"), [("0", "must be greater than or equal to 1"), ("near", "must be a valid number in mm")]
+)
+def test_a_wrong_argument_is_shown_as_it_was_written(word: str, rule: str) -> None:
+    program = typer.Typer(cls=Commands)
+    program.callback()(lambda: None)
+
+    @program.command("aim")
+    def aim(distance: Annotated[float, typer.Argument(help="Distance in mm.", min=1.0)]) -> None:
+        raise AssertionError(distance)
+
+    refused = CliRunner().invoke(program, ["aim", word]).exception
+    assert isinstance(refused, ConfigError)
+    assert str(refused) == f"DISTANCE is '{word}': {rule}"
 
 
 def test_a_word_like_nothing_is_sent_to_the_list() -> None:
