@@ -13,7 +13,7 @@ import fpplab
 from docs.generate.pages import DOCS
 from docs.generate.tables import causes_page, faults_page, field_reports_page
 from fpplab.calibration.model import CalibrationFile
-from fpplab.cli.app import RARE
+from fpplab.cli.app import GROUPS
 from fpplab.cli.every import app
 from fpplab.comparison.acceptance.standard import Standard
 from fpplab.devices.rig import RigFile
@@ -73,7 +73,7 @@ def every_command() -> Iterator[tuple[str, Any]]:
 
 def _below(group: Any, path: str) -> Iterator[tuple[str, Any]]:
     for name, command in sorted(group.commands.items()):
-        if name in RARE.get(path.strip(), ()):
+        if name in GROUPS.get(path.strip(), ()):
             continue  # it is also a command by itself
         if hasattr(command, "commands"):
             yield from _below(command, f"{path}{name} ")

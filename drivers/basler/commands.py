@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import INSTRUMENTS, Commands, Force, Json
+from fpplab.cli.app import Commands, Force, Json
 from fpplab.cli.completion import existing_file, option
 from fpplab.core.errors import DeviceError, DisconnectedError
 from fpplab.core.files import need_suffix, refuse_existing
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 camera = typer.Typer(
     cls=Commands,
     no_args_is_help=True,
-    rich_help_panel=INSTRUMENTS,
+    rich_help_panel="system",
     help="Save and load the settings of a Basler camera.",
 )
 """`fpplab camera …`."""

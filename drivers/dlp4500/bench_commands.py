@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import INSTRUMENTS, Commands, Json
+from fpplab.cli.app import Commands, Json
 from fpplab.cli.completion import option
 from fpplab.core.confirmation import ConfirmationRequired, confirm, how_to_confirm
 from fpplab.core.errors import ConfigError, LimitError
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 dlp4500 = typer.Typer(
     cls=Commands,
     no_args_is_help=True,
-    rich_help_panel=INSTRUMENTS,
+    rich_help_panel="system",
     help="Operate a LightCrafter 4500 projector directly.",
 )
 """`fpplab dlp4500 …`."""

@@ -9,7 +9,7 @@ from importlib import import_module
 from importlib.util import find_spec
 
 from fpplab.cli import console
-from fpplab.cli.app import RARE, app, leave_out_parameters
+from fpplab.cli.app import GROUPS, app, leave_out_parameters
 from fpplab.cli.lists import split_global
 
 
@@ -20,7 +20,7 @@ def main() -> None:
 
 def _run(arguments: list[str]) -> None:
     command = next(iter(split_global(arguments)[1]), "")
-    name = "" if command in RARE else command.replace("-", "_")  # whose group holds those of other files
+    name = "" if command in GROUPS else command.replace("-", "_")  # whose group holds those of other files
     modules = [f"{__name__}.commands.{each}" for each in (name, f"{name}_") if each.isidentifier()]
     import_module(next((each for each in modules if find_spec(each)), f"{__name__}.every"))
     if command in ("--help", "-h"):

@@ -148,17 +148,13 @@ def _fpplab(
 
 
 START, PREPARE, MEASURE = "Start here", "Prepare a rig", "Measure"
-JUDGE, TWIN, INSTRUMENTS = "Compare with the true shape", "Use the digital twin", "Instruments"
-PANELS = (START, PREPARE, MEASURE, JUDGE, TWIN, INSTRUMENTS)
-"""Headings of `fpplab --help`, in its order; a command names its own."""
+JUDGE, TWIN = "Compare with the true shape", "Use the digital twin"
+PANELS = (START, PREPARE, MEASURE, JUDGE, TWIN)
+"""Headings of `fpplab --help`, which fits one screen, in its order; a command names its own."""
 
-RARE = {
-    "data": ("convert", "decode", "export", "import", "report", "session"),
-    "plan": ("exposure",),
-    "system": ("bug-report", "cache", "camera", "cluster", "dlp4500", "doctor", "emulate", "serve"),
-    "twin": ("compare-rigs", "dataset"),
-}
-"""Commands that `fpplab --help` shows below a group only; `fpplab doctor` is `fpplab system doctor`."""
+GROUPS: dict[str, list[str]] = {"data": [], "plan": [], "system": [], "twin": []}
+"""What a rare command names in place of a heading, and which do: `fpplab --help` shows them below the group
+only, and `fpplab doctor` is `fpplab system doctor`. Filled by `arrange_commands`."""
 
 
 def is_single_command(program: typer.Typer) -> bool:
@@ -178,7 +174,7 @@ def leave_out_parameters() -> None:
 
 
 def arrange_commands() -> None:
-    """Sort the commands by heading and name, and put the rare ones into their groups too."""
+    """Sort the commands by heading and name, and put those of groups into these too."""
     for name, panel, purpose in (
         ("data", MEASURE, "Import, decode, convert and export recordings and results."),
         ("system", START, "Check this computer, report bugs, run devices and services."),
@@ -186,15 +182,17 @@ def arrange_commands() -> None:
         group = typer.Typer(cls=Commands, help=purpose, no_args_is_help=True)
         app.add_typer(group, name=name, rich_help_panel=panel)
     groups = {info.name: info.typer_instance for info in app.registered_groups}
-    for owner, names in RARE.items():
+    for owner, names in GROUPS.items():
         inside = groups[owner]
         assert inside is not None
-        for info in [each for each in app.registered_commands if each.name in names]:
+        for info in [each for each in app.registered_commands if each.rich_help_panel == owner]:
             inside.registered_commands.append(_shown_below(info))
-        for each in [each for each in app.registered_groups if each.name in names]:
+            names.append(str(info.name))
+        for each in [each for each in app.registered_groups if each.rich_help_panel == owner]:
             inside.registered_groups.append(_shown_below(each))
+            names.append(str(each.name))
     app.registered_commands.sort(
-        key=lambda command: (PANELS.index(str(command.rich_help_panel)), command.name or "")
+        key=lambda each: ([panel != each.rich_help_panel for panel in PANELS], each.name or "")
     )
 
 

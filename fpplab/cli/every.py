@@ -14,7 +14,7 @@ for _name in plugins.plugin_names(plugins.COMMANDS):
     if is_single_command(_program):
         app.registered_commands.extend(_program.registered_commands)
     else:
-        app.add_typer(_program, name=_name, rich_help_panel=TWIN)
+        app.add_typer(_program, name=_name, rich_help_panel=_program.rich_help_panel or TWIN)
 arrange_commands()
 
 __all__ = ["app"]

@@ -10,7 +10,8 @@ from fpplab.core.extras import missing_extra
 COMMANDS = "fpplab.commands"
 """`typer.Typer` programs, added to the command line under the entry's name.
 
-A program of one command without a callback is added as that command, under the heading that it names."""
+A program of one command without a callback is added as that command, under the heading or the group that it
+names."""
 
 BACKENDS = "fpplab.backends"
 """Classes of devices and benches that rig files may name, by the entry's name or its `module:Class`."""

@@ -6,13 +6,13 @@ from typing import Annotated, Any
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import TWIN, Json
+from fpplab.cli.app import Json
 from fpplab.cli.completion import config_option, existing_data, existing_file, option
 
 program = typer.Typer()
 
 
-@program.command("compare-rigs", rich_help_panel=TWIN)
+@program.command("compare-rigs", rich_help_panel="twin")
 def compare_rigs_command(
     session: Annotated[Path, typer.Argument(help="Scan of the item on the bench.", callback=existing_data)],
     rig: Annotated[str, config_option("rig", "Rig file of the twin.")],

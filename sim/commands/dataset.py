@@ -5,14 +5,14 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import TWIN, Json, Out, PlanName, RigName
+from fpplab.cli.app import Json, Out, PlanName, RigName
 from fpplab.cli.completion import config_option, option
 from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 
 program = typer.Typer()
 
 
-@program.command("dataset", rich_help_panel=TWIN)
+@program.command("dataset", rich_help_panel="twin")
 def dataset_command(
     context: typer.Context,
     rig: RigName,

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from fpplab import Calibration, __version__
 from fpplab.cli.advice import OPTION_SYNONYMS, SYNONYMS, unknown_command, unknown_option
-from fpplab.cli.app import RARE, Commands
+from fpplab.cli.app import GROUPS, Commands
 from fpplab.cli.every import app
 from fpplab.cli.lists import global_first
 from fpplab.core.config import find_config, shipped_configs
@@ -130,7 +130,8 @@ def test_commands_of_commands_are_suggested_too() -> None:
 
 def test_synonyms_lead_to_commands_and_are_none() -> None:
     assert {command for commands in SYNONYMS.values() for command in commands} <= set(COMMANDS)
-    assert not set(SYNONYMS) & set(COMMANDS)
+    doubled = set(SYNONYMS) & set(COMMANDS)
+    assert not doubled, "people mean another command by this name: give the new one another"
 
 
 def test_synonyms_of_options_lead_to_options() -> None:
@@ -233,8 +234,12 @@ def test_options_of_the_program_may_follow_the_command() -> None:
 def test_all_groups_fit_one_screen_and_rare_commands_work_by_both_names() -> None:
     """33 lines of 80 columns; what a group shows is the command of the same name, so that scripts go on."""
     said = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80", "TERMINAL_WIDTH": "80"}).output
-    assert 20 < len(said[said.index("─ Start here") :].splitlines()) <= 33
-    for group, names in RARE.items():
+    lines = len(said[said.index("─ Start here") :].splitlines())
+    assert 20 < lines <= 33, "the help is full: give a command a group of fpplab.cli.app.GROUPS for a heading"
+    hidden = {name for name, command in COMMANDS.items() if command.hidden}
+    assert {"export", "exposure", "doctor", "camera", "dataset"} <= hidden
+    assert sorted(hidden) == sorted(name for names in GROUPS.values() for name in names)
+    for group, names in GROUPS.items():
         for name in names:
             alone, inside = COMMANDS[name], COMMANDS[group].commands[name]
             assert (alone.hidden, inside.hidden) == (True, False)

@@ -89,6 +89,17 @@ def test_a_command_is_added_by_one_file(tmp_path: Path) -> None:
     assert said.strip() == '{"greeting": "good morning"}'
 
 
+@pytest.mark.parametrize(("place", "shown"), [("", "fpplab"), (', rich_help_panel="data"', "fpplab data")])
+def test_a_command_needs_no_heading_and_may_name_a_group(tmp_path: Path, place: str, shown: str) -> None:
+    command = COMMAND.replace(", rich_help_panel=START", place).replace("START, ", "")
+    words = ["-m", *shown.split(), "--help"]
+    assert "hello" in in_a_copy(tmp_path, "fpplab", "cli/commands/hello.py", command, words)
+    top = subprocess.run(
+        [sys.executable, "-m", "fpplab", "--help"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert ("hello" in top.stdout) == (shown == "fpplab")
+
+
 def test_a_material_is_added_by_one_file(tmp_path: Path) -> None:
     in_a_copy(tmp_path, "sim", "world/materials/chalk.py", CHALK, ["-c", ASK])
 

@@ -6,12 +6,12 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import START, Force, Json, Out, app
+from fpplab.cli.app import Force, Json, Out, app
 from fpplab.cli.completion import option
 from fpplab.core.files import need_suffix, refuse_existing
 
 
-@app.command("bug-report", rich_help_panel=START)
+@app.command("bug-report", rich_help_panel="system")
 def bug_report_command(
     out: Out,
     sources: Annotated[

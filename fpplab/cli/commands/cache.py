@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import TWIN, Commands, Json, app
+from fpplab.cli.app import Commands, Json, app
 from fpplab.core.disk_space import disk_bytes
 from fpplab.core.files import writing
 from fpplab.core.system import cache_directory
@@ -22,7 +22,7 @@ otherwise ~/.cache/fpplab), so that the next scan of a scene does not render it 
 is stored next to the sources, in `__pycache__`, and is not included here."""
 
 cache_app = typer.Typer(cls=Commands, help=HELP)
-app.add_typer(cache_app, name="cache", rich_help_panel=TWIN)
+app.add_typer(cache_app, name="cache", rich_help_panel="system")
 
 
 @cache_app.callback(invoke_without_command=True)

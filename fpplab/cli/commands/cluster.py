@@ -7,11 +7,11 @@ from contextlib import suppress
 from typing import Annotated
 
 from fpplab.cli import console
-from fpplab.cli.app import TWIN, CertificateFolder, Json, app
+from fpplab.cli.app import CertificateFolder, Json, app
 from fpplab.cli.completion import option
 
 
-@app.command("cluster", rich_help_panel=TWIN)
+@app.command("cluster", rich_help_panel="system")
 def cluster_command(
     listen: Annotated[
         str, option("--listen", "Address at which other computers join.")

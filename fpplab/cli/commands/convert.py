@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import PREPARE, CameraSize, Force, Json, Out, ProjectorLattice, ProjectorSize, app
+from fpplab.cli.app import CameraSize, Force, Json, Out, ProjectorLattice, ProjectorSize, app
 from fpplab.cli.completion import existing_file, option
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import need_suffix, refuse_existing, write_text
 from fpplab.core.units import MM
 
 
-@app.command("convert", rich_help_panel=PREPARE)
+@app.command("convert", rich_help_panel="data")
 def convert_command(
     files: Annotated[
         list[Path],

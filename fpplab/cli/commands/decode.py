@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, AsRecorded, Force, Json, LimitsOption, Out, app
+from fpplab.cli.app import AsRecorded, Force, Json, LimitsOption, Out, app
 from fpplab.cli.completion import existing_data, option
 from fpplab.cli.viewing import ConsoleObserver
 
@@ -20,7 +20,7 @@ KnownCoordinates = Annotated[
 ]
 
 
-@app.command("decode", rich_help_panel=MEASURE)
+@app.command("decode", rich_help_panel="data")
 def decode_command(
     session: Annotated[Path, typer.Argument(help="Recorded session.", callback=existing_data)],
     out: Out,

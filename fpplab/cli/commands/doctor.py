@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import START, Json, app
+from fpplab.cli.app import Json, app
 from fpplab.core.errors import DeviceError
 
 if TYPE_CHECKING:
     from fpplab.core.doctor import DoctorFinding
 
 
-@app.command("doctor", rich_help_panel=START)
+@app.command("doctor", rich_help_panel="system")
 def doctor_command(
     folder: Annotated[
         Path, typer.Argument(help="Folder in which scans will be written.", exists=True, file_okay=False)

@@ -10,13 +10,13 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import INSTRUMENTS, Json, app
+from fpplab.cli.app import Json, app
 from fpplab.cli.completion import option
 from fpplab.core import plugins
 from fpplab.core.errors import ConfigError
 
 
-@app.command("emulate", rich_help_panel=INSTRUMENTS)
+@app.command("emulate", rich_help_panel="system")
 def emulate_command(
     name: Annotated[str, typer.Argument(help=f"{', '.join(plugins.plugin_names(plugins.EMULATORS))}.")],
     firmware: Annotated[

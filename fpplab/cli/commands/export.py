@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, Force, Json, app
+from fpplab.cli.app import Force, Json, app
 from fpplab.cli.completion import existing_file, option
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import make_directory, need_suffix, refuse_existing
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _NOT_IN_NAMES = re.compile(r"[^\w.-]")  # of files: the keys of a foreign answer may lead anywhere
 
 
-@app.command("export", rich_help_panel=MEASURE)
+@app.command("export", rich_help_panel="data")
 def export_command(
     source: Annotated[
         Path,

@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from fpplab.cli import console
-from fpplab.cli.app import PREPARE, Force, Json, PlanName, RigName, app
+from fpplab.cli.app import Force, Json, PlanName, RigName, app
 from fpplab.cli.completion import option
 from fpplab.core.files import need_suffix, refuse_existing, write_text
 
 
-@app.command("exposure", rich_help_panel=PREPARE)
+@app.command("exposure", rich_help_panel="plan")
 def exposure_command(
     rig: RigName,
     plan: PlanName = "plan_scan.yaml",

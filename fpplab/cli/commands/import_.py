@@ -5,7 +5,6 @@ from typing import Annotated
 
 from fpplab.cli import console
 from fpplab.cli.app import (
-    MEASURE,
     FirstIndex,
     FirstStep,
     Force,
@@ -24,7 +23,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.files import need_suffix, refuse_existing
 
 
-@app.command("import", rich_help_panel=MEASURE)
+@app.command("import", rich_help_panel="data")
 def import_command(
     out: Out,
     plan: Annotated[str | None, config_option("plan", "Plan file that describes the images.")] = None,

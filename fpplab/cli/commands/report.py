@@ -6,12 +6,12 @@ from typing import Annotated, Any
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import JUDGE, Force, Json, app
+from fpplab.cli.app import Force, Json, app
 from fpplab.cli.completion import existing_data, option
 from fpplab.cli.viewing import ConsoleObserver
 
 
-@app.command("report", rich_help_panel=JUDGE)
+@app.command("report", rich_help_panel="data")
 def report_command(
     scans: Annotated[
         list[Path], typer.Argument(help="Two or more sessions or clouds.", callback=existing_data)

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, Json, RigName, app
+from fpplab.cli.app import Json, RigName, app
 from fpplab.cli.completion import option
 from fpplab.core.extras import need_extra
 
 
-@app.command("serve", rich_help_panel=MEASURE)
+@app.command("serve", rich_help_panel="system")
 def serve_command(
     rig: RigName,
     calibration: Annotated[

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, Commands, Json, app
+from fpplab.cli.app import Commands, Json, app
 from fpplab.cli.completion import existing_data
 from fpplab.core.errors import DataError
 from fpplab.core.units import readable_bytes
@@ -17,7 +17,7 @@ SessionPath = Annotated[
 ]
 
 session_app = typer.Typer(cls=Commands, help="Describe, verify or repair a session.", no_args_is_help=True)
-app.add_typer(session_app, name="session", rich_help_panel=MEASURE)
+app.add_typer(session_app, name="session", rich_help_panel="data")
 
 
 @session_app.command("info")
