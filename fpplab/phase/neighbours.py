@@ -12,6 +12,9 @@ rest is compared with second differences of the residuals of the sinusoids, whic
 filter: the ratio is one unless phases scatter by more than residuals show. Three steps leave no residuals,
 and the phases' second differences alone tell. A rough surface scatters too, so all this counts only where
 residuals of neighbours are correlated, as those of a sensor's own frames are not.
+
+In frames that nothing filtered, phases of neighbours may scatter by less than residuals: a part that vibrates
+and a lamp that flickers leave residuals that are alike for all pixels of one phase.
 """
 
 from __future__ import annotations
@@ -156,13 +159,15 @@ class _PhasesInTiles:
         if fit is None:
             nearest = float(np.square(rest[kept]).mean())
             misfit = scatter = self._scatter_of_three_steps(others, nearest, strengths, shapes)
-        else:
-            bends, power = self._scatter(self._residuals(fit), rest.reshape(2, -1), kept.reshape(2, -1))
+        elif self._were_filtered(residuals := self._residuals(fit)):
+            bends, power = self._scatter(residuals, rest.reshape(2, -1), kept.reshape(2, -1))
             misfit = scatter = max(bends, 1.0) * power
             far = self._variance_of_distant_bends(strengths, shapes) if bends < 1.0 else None
             if far is not None:  # what a filter bends besides noise is in the residuals, not in the phases
                 nearest = float(np.square(rest[kept]).mean())
                 scatter = min(misfit, max(nearest, far) / self._variance_of_noise())
+        else:
+            misfit, scatter = 1.0, self._scatter_of_independent(rest.reshape(2, -1))
         with_ripple = replace(errors, ripple_rad=float(np.sqrt(beyond)), blur_px2=float(strengths[0]))
         return replace(with_ripple, scatter=scatter, misfit_scatter=misfit)
 
@@ -171,6 +176,37 @@ class _PhasesInTiles:
         count, shape = len(self.levels), self.levels.shape[1:]
         group = set_group(0, self.levels.reshape(count, -1), self.fitted.reshape(3, -1), self.fringe)
         return group.combine_without_common_errors(group.quiet, fit).reshape(-1, *shape)
+
+    def _were_filtered(self, residuals: Floats) -> bool:
+        """Whether residuals of neighbours are correlated, and not only because their phases are alike."""
+        return _are_correlated(residuals, self.used) and _are_correlated(
+            self._without_common_phases(residuals), self.used
+        )
+
+    def _without_common_phases(self, residuals: Floats) -> Floats:
+        """Take off what is alike for all pixels of one phase in a tile, as where a part vibrates."""
+        # residuals (R, T, height, side)
+        shape, tiles = residuals.shape, len(self.fitted[0])
+        bright = self._bright.reshape(tiles, 1, -1)
+        once, twice = self.phasor, self.phasor**2
+        waves = np.stack([once.real, once.imag, twice.real, twice.imag])
+        terms = np.moveaxis(self.modulation * waves, 0, 1).reshape(tiles, len(waves), -1) * bright
+        values = np.moveaxis(residuals, 0, 1).reshape(tiles, len(residuals), -1)
+        normal = np.einsum("tap,tbp->tab", terms, terms)
+        strengths = np.linalg.pinv(normal, hermitian=True) @ np.einsum("tap,trp->tar", terms, values)
+        left = values - np.einsum("tap,tar->trp", terms, strengths)
+        return np.moveaxis(left, 1, 0).reshape(shape)
+
+    def _scatter_of_independent(self, rest: Floats) -> float:
+        """Variance of the phases beside that of noise in frames that nothing filtered; 1 at most."""
+        # rest (2, P). What scatters by more is a rough surface.
+        variance = _inner(self.noise.variance(self.fitted[0]) / np.square(self.modulation))[self.used]
+        scaled = rest / np.sqrt(_SQUARE_OF_BEND * 2.0 / len(self.levels) * variance)
+        kept = np.abs(scaled) < NEIGHBOURS.outlier_sigmas * robust_spread(scaled.ravel(), 1e-6)
+        scatter = float(np.square(scaled[kept]).mean())
+        # Second differences share pixels: of n pixels the mean square has a relative uncertainty of 2/√n.
+        chance = NEIGHBOURS.significance * 2.0 / np.sqrt(scaled.shape[1])
+        return scatter if scatter < 1.0 - chance else 1.0
 
     def _change_of_offset(self, others: Floats) -> Floats:
         """The offset beside that of another set, as noisy as a level; 0 where there is no other."""
@@ -226,11 +262,9 @@ class _PhasesInTiles:
         return float(np.square(values[np.abs(values) < NEIGHBOURS.outlier_sigmas * spread]).mean())
 
     def _scatter(self, residuals: Floats, rest: Floats, kept: Mask) -> tuple[float, float]:
-        """Variance of the phases beside residuals, and of these beside noise; 1 of independent neighbours."""
+        """Variance of the phases beside residuals, and of these beside noise, in filtered frames."""
         # residuals (R, T, height, side); rest (2, P); kept (2, P)
         count = len(self.levels)
-        if not _are_correlated(residuals, self.used):
-            return 1.0, 1.0
         variance = _inner(self.noise.variance(self.fitted[0]))[self.used]
         power = np.square(_inner(residuals)[:, self.used]).mean(axis=0) / variance
         power = power[power < surprising_power(len(residuals))]
@@ -287,6 +321,9 @@ def _are_correlated(residuals: Floats, used: Mask) -> bool:
     # period, is common to long stretches along the fringes; no filter reaches as far.
     for across, along in (_ALONG, _ALONG[::-1]):
         bends = _differences(residuals, along) * used
+        # Every tile counts by its pixels, so that two faces in one do not count for all.
+        power = np.square(bends).sum(axis=(0, *_ALONG), keepdims=True)
+        bends *= np.sqrt(used.sum(axis=_ALONG, keepdims=True) / np.maximum(power, 1e-12))
         near, far = (
             abs((bends * np.roll(bends, apart, across)).sum()) for apart in (1, NEIGHBOURS.unfiltered_px)
         )

@@ -17,6 +17,7 @@ from benchmarks.image_faults import (
 )
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
+from fpplab.phase.common_errors import fit_sinusoids, fringe_levels
 from fpplab.phase.error_model import error_model_of
 from fpplab.phase.isolated import isolated_pixels
 
@@ -66,6 +67,34 @@ def test_frames_as_the_sensor_gives_them_show_nothing() -> None:
         errors = error_model_of(recording)
         assert errors.lag == 0.0
         assert all(one.scatter == 1.0 and one.ripple_rad == 0.0 for one in errors.sets)
+
+
+def vibrating(scene: KnownScene, px: float, seed: int) -> Recording:
+    """Displace the projector's picture on the part in every frame, by a standard deviation in px."""
+    frames, random = list(scene.frames), np.random.default_rng(seed)
+    for fringe, first, end in zip(
+        scene.plan.fringes, *(scene.plan.set_starts[k:] for k in (0, 1)), strict=False
+    ):
+        levels = np.stack(frames[first:end]).astype(np.float64)
+        fitted = fit_sinusoids(levels.reshape(len(levels), -1), fringe)
+        by_phase = fringe_levels(fitted, fringe.phase_shifts())[1].reshape(levels.shape)
+        moved = px * fringe.phase_per_px(PROJECTOR) * random.standard_normal((len(levels), 1, 1))
+        frames[first:end] = list(np.clip(np.rint(levels + moved * by_phase), 0, 255).astype(np.uint8))
+    return Recording(frames, scene.plan, PROJECTOR)
+
+
+@pytest.mark.parametrize("seed", [47, 52, 57])
+def test_vibration_is_not_stated_as_noise(seed: int) -> None:
+    scene = drawn_scene(seed, (6,))
+    moved = decode(vibrating(scene, 0.15, seed))
+    used = scene.judged & moved.valid
+    error = (moved.u - scene.seen[..., 0])[used]
+    # Of the error by vibration, which is common to all pixels of a phase, its first harmonics.
+    phase = scene.plan.finest.phase_per_px(PROJECTOR) * (scene.seen[..., 0][used] + 0.5)
+    waves = np.stack([part(k * phase) for k in range(4) for part in (np.cos, np.sin)], axis=1)
+    noise = error - waves @ np.linalg.lstsq(waves, error, rcond=None)[0]
+    stated = float(np.sqrt(np.mean(np.square(moved.sigma[used]))))
+    assert 0.85 < stated / noise.std() < 1.25
 
 
 def test_bands_of_rows_show_of_neighbours_what_the_whole_image_does() -> None:
