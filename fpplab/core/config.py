@@ -17,10 +17,10 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError
 from yaml.representer import SafeRepresenter
 
+from fpplab.core.checksums import check_recorded
 from fpplab.core.errors import ConfigError
 from fpplab.core.file_kinds import WantedKind, naming_other_kinds
 from fpplab.core.files import no_such_file, read_bounded
-from fpplab.core.journals import check_recorded
 from fpplab.core.strict_yaml import load_yaml
 from fpplab.core.units import corrected_number
 

@@ -11,10 +11,10 @@ import numpy as np
 from fpplab.calibration.model import PARAMETERS, Calibration
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.core.blas import one_blas_thread
+from fpplab.core.checksums import write_recorded
 from fpplab.core.conventions import Axis
 from fpplab.core.depth import DepthInterval, DepthRange
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.journals import write_recorded
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED
 from fpplab.diagnosis import Diagnosis, UselessScanError, diagnose_scan

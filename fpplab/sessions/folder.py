@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fpplab.core import config
+from fpplab.core.checksums import write_recorded
 from fpplab.core.conventions import raw_dtype
 from fpplab.core.disk_space import disk_bytes, need_space
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.file_kinds import other_kind
 from fpplab.core.files import no_such_file, sweep_file_drafts, write_text, writing
-from fpplab.core.journals import cut_torn_line, whole_lines, write_recorded
+from fpplab.core.journals import cut_torn_line, whole_lines
 from fpplab.core.session_names import FRAMES, JOURNAL, PLAN, RIG, SESSION_FILES
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.format import write_format

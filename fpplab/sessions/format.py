@@ -14,9 +14,9 @@ from typing import Annotated
 from pydantic import Field
 
 from fpplab.core import config
+from fpplab.core.checksums import recorded_files, write_recorded
 from fpplab.core.config import Document
 from fpplab.core.errors import DataError
-from fpplab.core.journals import recorded_files, write_recorded
 from fpplab.core.session_names import CHECKSUMS, FORMAT, PLAN, RIG
 
 PRESENT = 2  # the version of the format that is written

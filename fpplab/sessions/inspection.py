@@ -9,9 +9,9 @@ from typing import Any
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import load_cloud
 from fpplab.core import config
+from fpplab.core.checksums import recorded_files
 from fpplab.core.disk_space import disk_bytes
 from fpplab.core.errors import ConfigError, FppError
-from fpplab.core.journals import recorded_files
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import (
     CALIBRATION,

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fpplab.core import config
+from fpplab.core.checksums import RecordedFile, recorded_files
 from fpplab.core.errors import DataError, FppError
 from fpplab.core.files import read_bounded, write_text, writing
-from fpplab.core.journals import RecordedFile, recorded_files, whole_lines
+from fpplab.core.journals import whole_lines
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import CHECKSUMS, FORMAT, JOURNAL, PLAN, RIG
 from fpplab.patterns.plan import Plan

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from fpplab.core import config, journals
+from fpplab.core.checksums import check_recorded, write_recorded
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import read_bounded
-from fpplab.core.journals import check_recorded, whole_lines, write_recorded
+from fpplab.core.journals import whole_lines
 from fpplab.core.lock import lock_owner
 from fpplab.core.strict_json import parse_json, parse_object
 from sim.dataset.card import read_card

@@ -46,7 +46,7 @@ def calibration() -> list[bytes]:
 @cache
 def session_files() -> dict[str, bytes]:
     """The files of a small session by their place in it."""
-    from fpplab.core.journals import write_recorded
+    from fpplab.core.checksums import write_recorded
     from tests.support.recorded import record
 
     with tempfile.TemporaryDirectory() as folder:

@@ -171,7 +171,7 @@ def image(data: bytes, folder: Path) -> None:
 
 def records(data: bytes, folder: Path) -> None:
     """Lines and objects of JSON; the first byte says of what."""
-    from fpplab.core.journals import check_recorded
+    from fpplab.core.checksums import check_recorded
     from fpplab.sessions.journal import read_journal
     from sim.dataset.card import read_card
     from sim.dataset.shard import check_shard
@@ -294,7 +294,11 @@ TARGETS: dict[str, Fuzzed] = {
     "calibration": Fuzzed(
         calibration, seeds.calibration, ("fpplab.calibration", "fpplab.core.strict_yaml", "yaml")
     ),
-    "session": Fuzzed(session, seeds.session, ("fpplab.sessions", "fpplab.core.journals", "tifffile")),
+    "session": Fuzzed(
+        session,
+        seeds.session,
+        ("fpplab.sessions", "fpplab.core.checksums", "fpplab.core.journals", "tifffile"),
+    ),
     "cloud": Fuzzed(cloud, seeds.cloud, ("fpplab.clouds.ply", "fpplab.core.archives", "zipfile")),
     "decoded": Fuzzed(decoded, seeds.decoded, ("fpplab.core.archives", "zipfile", "numpy.lib.format")),
     "mesh": Fuzzed(mesh, seeds.mesh, ("trimesh.exchange",)),
@@ -308,7 +312,7 @@ TARGETS: dict[str, Fuzzed] = {
     "records": Fuzzed(
         records,
         seeds.records,
-        ("fpplab.core.journals", "fpplab.sessions.journal", "sim.dataset.card"),
+        ("fpplab.core.checksums", "fpplab.core.journals", "fpplab.sessions.journal", "sim.dataset.card"),
         odd=seeds.odd_records,
     ),
     "hid": Fuzzed(hid, seeds.hid, ("drivers.dlp4500", "drivers.emulators.dlpc350")),

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from fpplab.calibration.model import Calibration
+from fpplab.core.checksums import check_recorded, write_recorded
 from fpplab.core.errors import ConfigError, DataError, FppError
 from fpplab.core.files import sweep_file_drafts, write_atomic, write_text
-from fpplab.core.journals import check_recorded, write_recorded
 from fpplab.sessions.session import Session
 from tests.comparison.test_comparison import CALIBRATION
 from tests.support.recorded import PLAN, frame, in_a_child, record

@@ -1,20 +1,20 @@
 """`fpplab cache`: what is kept outside of the user's results to save time, and can be computed again."""
 
-import shutil
-from contextlib import suppress
-from pathlib import Path
-from typing import Any
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import Commands, Json, app
-from fpplab.core.disk_space import disk_bytes
-from fpplab.core.files import writing
 from fpplab.core.system import cache_directory
 from fpplab.core.units import readable_bytes
 
-CONTENTS = {"light": "rendered light of simulated scenes; the next scan of a scene renders it again"}
+if TYPE_CHECKING:
+    from fpplab.core.cache import CachedFolder
+
 HELP = """Show the cache and its size; `fpplab cache clear` deletes it.
 
 Rendered light of simulated scenes, up to 2 GiB, is kept in the user's cache folder ($XDG_CACHE_HOME/fpplab,
@@ -28,9 +28,11 @@ app.add_typer(cache_app, name="cache", rich_help_panel="system")
 @cache_app.callback(invoke_without_command=True)
 def _cache(context: typer.Context, json: Json = False) -> None:
     """Show what is kept, unless it is to be cleared."""
+    from fpplab.core.cache import cached_folders
+
     context.obj = json
     if context.invoked_subcommand is None:
-        _print_folders(_described_folders(), "Kept", json)
+        _print_folders(cached_folders(), "Kept", json)
 
 
 @cache_app.command("clear")
@@ -39,35 +41,21 @@ def clear_command(context: typer.Context, json: Json = False) -> None:
 
     The next scan of a simulated scene renders it again, which takes seconds to minutes.
     """
-    cleared = _described_folders()
-    for folder in cleared:
-        with writing(folder["path"]), suppress(FileNotFoundError):  # another process clears it too
-            shutil.rmtree(folder["path"])
-    _print_folders(cleared, "Deleted", json or bool(context.obj))
+    from fpplab.core.cache import clear_cache
+
+    _print_folders(clear_cache(), "Deleted", json or bool(context.obj))
 
 
-def _described_folders() -> list[dict[str, Any]]:
+def _print_folders(folders: list[CachedFolder], title: str, json: bool) -> None:
     directory = cache_directory()
-    inside = sorted(directory.iterdir()) if directory.is_dir() else []
-    # A link may lead to anything.
-    return [_described(path) for path in inside if path.is_dir() and not path.is_symlink()]
+    rows = [asdict(folder) for folder in folders]
+    answer = {"directory": directory, "bytes": sum(folder.bytes for folder in folders), "folders": rows}
 
+    def show() -> None:
+        if not folders:
+            console.stdout.print(f"{directory}: nothing is kept")
+        for folder in folders:
+            size = f"{readable_bytes(folder.bytes)} in {folder.files} files"
+            console.stdout.print(f"{title}: {folder.path}: {size}, {folder.holds}")
 
-def _described(path: Path) -> dict[str, Any]:
-    files = [file for file in path.rglob("*") if file.is_file()]
-    holds = CONTENTS.get(path.name, "unknown to this version")
-    return {"path": path, "holds": holds, "files": len(files), "bytes": disk_bytes(path)}
-
-
-def _print_folders(folders: list[dict[str, Any]], title: str, json: bool) -> None:
-    directory = cache_directory()
-    answer = {"directory": directory, "bytes": sum(each["bytes"] for each in folders), "folders": folders}
-    console.print_result(answer, json, lambda: _show(folders, title))
-
-
-def _show(folders: list[dict[str, Any]], title: str) -> None:
-    if not folders:
-        console.stdout.print(f"{cache_directory()}: nothing is kept")
-    for folder in folders:
-        size = f"{readable_bytes(folder['bytes'])} in {folder['files']} files"
-        console.stdout.print(f"{title}: {folder['path']}: {size}, {folder['holds']}")
+    console.print_result(answer, json, show)
