@@ -5,19 +5,20 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
+from fpplab.calibration.model import Calibration
+from fpplab.core.config import read_text
+from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import ConfigError
+from fpplab.devices import State
+from fpplab.devices.rig import Mounted, Rig
+from fpplab.devices.simulation import Restartable
+from fpplab.patterns.plan import Plan
 from fpplab.results.observer import Observer
-
-if TYPE_CHECKING:
-    from fpplab.calibration.model import Calibration
-    from fpplab.core.depth import DepthInterval
-    from fpplab.devices.rig import Mounted, Rig
-    from fpplab.patterns.plan import Plan
-    from fpplab.results.scan import ScanResult
-    from fpplab.service.order import ScanOrder
-    from fpplab.workflows.scan import ScanRequest
+from fpplab.results.scan import ScanResult
+from fpplab.service.order import ScanOrder
+from fpplab.workflows.scan import ScanRequest, request_of_order, scan_on_open_rig
 
 CALIBRATION_NAME = "calibration.yaml"
 
@@ -63,8 +64,6 @@ class Instrument:
         ConfigError
             There is no such rig file, or it is wrong.
         """
-        from fpplab.devices.rig import Rig
-
         folder = Path(folder)
         return cls(Rig.load(rig), Path(calibration or folder / CALIBRATION_NAME), folder)
 
@@ -137,10 +136,6 @@ class Instrument:
         ConfigError, DeviceError, CalibrationError, DataError
             As `fpplab.scan`.
         """
-        from fpplab.calibration.model import Calibration
-        from fpplab.patterns.plan import Plan
-        from fpplab.workflows.scan import ScanRequest
-
         observer = observer or Observer()
         self._renew(observer)
         named = plan if isinstance(plan, Path | str) else None
@@ -162,25 +157,18 @@ class Instrument:
 
     def run_order(self, order: ScanOrder, out: Path | str, observer: Observer) -> ScanResult:
         """Measure what a client of a service orders; see `scan`."""
-        from fpplab.workflows.scan import request_of_order
-
         self._renew(observer)
         calibration = Path(order.calibration) if order.calibration else self._calibration
         request = request_of_order(order, self._rig, Path(out), calibration, self.calibration_of)
         return self._run(request, observer)
 
     def _run(self, request: ScanRequest, observer: Observer) -> ScanResult:
-        from fpplab.devices.simulation import Restartable
-        from fpplab.workflows.scan import scan_on_open_rig
-
         if isinstance(self._rig.simulation, Restartable):
             self._rig.simulation.restart()
         return scan_on_open_rig(request, observer)
 
     def calibration_of(self, file: Path | str) -> Calibration:
         """Load a calibration, which is kept as long as its file stays as it is."""
-        from fpplab.core.config import read_text
-
         return _calibration(Path(file), read_text(Path(file)))
 
     def next_session(self) -> Path:
@@ -193,9 +181,6 @@ class Instrument:
 
     def _renew(self, observer: Observer) -> None:
         """Open the rig again where its file or one that it names has changed, or a device is in fault."""
-        from fpplab.devices import State
-        from fpplab.devices.rig import Rig
-
         now = Rig.load(self._file)
         now.source = self._rig.source
         if self._is_open:
@@ -213,6 +198,4 @@ class Instrument:
 
 @lru_cache(maxsize=4)
 def _calibration(file: Path, text: str) -> Calibration:
-    from fpplab.calibration.model import Calibration
-
     return Calibration.load(file)

@@ -1,21 +1,26 @@
 """A small data set for teaching and other programs: a board, a part in two codes, and their truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from fpplab.artefacts import save_stl
+from fpplab.calibration.model import Calibration
+from fpplab.core.config import find_config
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import refuse_existing, write_atomic, write_text
 from fpplab.core.session_names import CALIBRATION, REPORT
+from fpplab.devices.rig import Rig
+from fpplab.devices.simulation import Predictable
+from fpplab.diagnosis import Verdict
+from fpplab.diagnosis.record import load_diagnosis
+from fpplab.patterns.plan import Plan
+from fpplab.pipeline.true_maps import trace_true_maps
 from fpplab.results.observer import Observer
+from fpplab.targets import Target
+from fpplab.workflows.characterise import CharacterisationRequest, run_characterisation
+from fpplab.workflows.scan import ScanRequest, run_scan
 from fpplab.workflows.stopwatch import Stopwatch
-
-if TYPE_CHECKING:
-    from fpplab.calibration.model import Calibration
-    from fpplab.diagnosis import Verdict
-    from fpplab.patterns.plan import Plan
 
 PART, TARGET = "pyramid", "target_paper.yaml"  # of the demonstration's world
 POSES = 8  # of the board (chosen: each takes two seconds)
@@ -72,8 +77,6 @@ class SampleRequest:
 
 def make_sample(request: SampleRequest, observer: Observer | None = None) -> dict[str, Any]:
     """Record a board and a part on the virtual bench, and write them with the truth."""
-    from fpplab.patterns.plan import Plan
-
     observer, out, stopwatch = observer or Observer(), request.out, Stopwatch()
     refuse_existing(out / README, request.force)  # which is written last
     out.mkdir(parents=True, exist_ok=True)
@@ -88,13 +91,6 @@ def make_sample(request: SampleRequest, observer: Observer | None = None) -> dic
 
 
 def _characterise(request: SampleRequest, observer: Observer) -> Calibration:
-    from fpplab.calibration.model import Calibration
-    from fpplab.core.config import find_config
-    from fpplab.devices.rig import Rig
-    from fpplab.patterns.plan import Plan
-    from fpplab.targets import Target
-    from fpplab.workflows.characterise import CharacterisationRequest, run_characterisation
-
     file = request.out / CALIBRATION
     if request.force or not file.exists():
         target = find_config(TARGET, "target").read_text(encoding="utf-8")
@@ -112,10 +108,6 @@ def _characterise(request: SampleRequest, observer: Observer) -> Calibration:
 def _scan(
     request: SampleRequest, name: str, plan: Plan, calibration: Calibration, observer: Observer
 ) -> Verdict:
-    from fpplab.devices.rig import Rig
-    from fpplab.diagnosis.record import load_diagnosis
-    from fpplab.workflows.scan import ScanRequest, run_scan
-
     rig, out = Rig.load(request.out / RIG), request.out / name
     recorded = load_diagnosis(out) if (out / REPORT).is_file() and not request.force else None
     if recorded is not None:
@@ -129,11 +121,6 @@ def _scan(
 def _write_truth(out: Path, observer: Observer) -> None:
     """Write the devices, surface and maps that the simulation has, which nothing measures."""
     import numpy as np
-
-    from fpplab.artefacts import save_stl
-    from fpplab.devices.rig import Rig
-    from fpplab.devices.simulation import Predictable
-    from fpplab.pipeline.true_maps import trace_true_maps
 
     with observer.stage("Tracing the truth"), Rig.load(out / RIG) as rig:
         if not isinstance(rig.simulation, Predictable):
