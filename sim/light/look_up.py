@@ -101,12 +101,14 @@ def _empty(
     total: NDArray[np.float32],
 ) -> None:
     """Multiply the windows' weights by the texels below, add that to `total`, and clear the windows."""
-    # windows: of two neighbouring circles, `sides` of them in use. low, high: their rows with weights. first:
-    # place of the first one's first texel in the flat texels, in which circles and rows follow each other by
-    # the strides.
-    for side in range(sides):
-        _add_products(windows[side], low, high, texels, first + side * circle_stride, stride, total)
-        windows[side, low * WINDOW : high * WINDOW] = 0
+    # windows: for each term of two neighbouring circles, `sides` of them in use. low, high: their rows with
+    # weights. first: place of the first one's first texel in the flat texels, in which circles and rows
+    # follow each other by the strides.
+    for term in range(len(windows)):
+        for side in range(sides):
+            texel = first + side * circle_stride
+            _add_products(windows[term, side], low, high, texels, texel, stride, total[term])
+            windows[term, side, low * WINDOW : high * WINDOW] = 0
 
 
 @kernel_part(fastmath=_FAST, error_model="numpy")
@@ -147,70 +149,23 @@ def interpolated_light(
     textures: NDArray[np.float32],
     weights: NDArray[np.float32],
     samples: NDArray[np.float32],
-    left: np.float32,
-    top: np.float32,
-    out: NDArray[np.float32],
-) -> None:
-    """Look up samples between mirrors that a lens blurs."""
-    # textures (circles, rows, columns, patterns); weights (circles, STEPS + 1, TAPS); samples (views,
-    # pixels, 4); out (patterns, pixels)
-    _, rows, columns, patterns = textures.shape
-    views, pixels, _ = samples.shape
-    texels, table = textures.reshape(-1), weights.reshape(-1)
-    share, stride, reach = np.float32(1.0 / views), columns * patterns, WINDOW // 2
-    for block in numba.prange((pixels + _PIXELS - 1) // _PIXELS):
-        windows, total = np.zeros((2, WINDOW * WINDOW), np.float32), np.zeros(patterns, np.float32)
-        for p in range(block * _PIXELS, min((block + 1) * _PIXELS, pixels)):
-            total[:] = 0
-            level, column, row, first, low, high, sides = -1, 0, 0, 0, WINDOW, 0, 1
-            for k in range(views):
-                x, y, circle = samples[k, p, 0] - left, samples[k, p, 1] - top, samples[k, p, 2]
-                i, j = int(np.floor(x + np.float32(0.5))), int(np.floor(y + np.float32(0.5)))
-                inside = reach <= i < columns - reach and reach <= j < rows - reach
-                if not (samples[k, p, 3] > 0 and inside):
-                    continue
-                if int(circle) != level or abs(i - column) > 1 or abs(j - row) > 1:
-                    if level >= 0:
-                        _empty(windows, sides, low, high, texels, first, rows * stride, stride, total)
-                    level, column, row, low, high, sides = int(circle), i, j, WINDOW, 0, 1
-                    first = ((level * rows + row - reach) * columns + column - reach) * patterns
-                upper = j - row + 1
-                low, high = min(low, upper), max(high, upper + TAPS)
-                start = np.uint64(upper * WINDOW + i - column + 1)
-                farther = circle - np.float32(level)
-                sides = max(sides, 2 if farther > 0 else 1)
-                for side in range(2 if farther > 0 else 1):
-                    weight = samples[k, p, 3] * (farther if side else np.float32(1.0) - farther)
-                    across = _interpolate_taps(table, level + side, x - np.float32(i))
-                    down = _interpolate_taps(table, level + side, y - np.float32(j))
-                    _add_square(windows[side], start, weight, across, down)
-            if level >= 0:
-                _empty(windows, sides, low, high, texels, first, rows * stride, stride, total)
-            for n in range(patterns):
-                out[n, p] = total[n] * share
-
-
-@kernel(parallel=True, fastmath=_FAST, error_model="numpy")
-def light_with_slopes(
-    textures: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    samples: NDArray[np.float32],
-    slopes: NDArray[np.float32],
+    slopes: NDArray[np.float32] | None,
     begin: int,
     left: np.float32,
     top: np.float32,
     out: NDArray[np.float32],
 ) -> None:
-    """Look up samples as `interpolated_light` does from a pixel on, with the derivatives of the light."""
+    """Look up samples between mirrors that a lens blurs; with slopes, the light's derivatives as well."""
     # textures (circles, rows, columns, patterns); weights (circles, STEPS + 1, TAPS); samples (views,
-    # pixels, 4); slopes (views, pixels, 2); out (patterns, pixels that are looked up, 5)
+    # pixels, 4); slopes (views, pixels, 2); out (patterns, pixels that are looked up, 1 or with slopes 5)
+    # Without slopes another kernel is compiled, which has none of the derivatives' instructions.
     _, rows, columns, patterns = textures.shape
-    views, pixels = len(samples), out.shape[1]
+    views, pixels, terms = len(samples), out.shape[1], 1 if slopes is None else 5
     texels, table = textures.reshape(-1), weights.reshape(-1)
     share, stride, reach = np.float32(1.0 / views), columns * patterns, WINDOW // 2
     for block in numba.prange((pixels + _PIXELS - 1) // _PIXELS):
-        windows = np.zeros((5, 2, WINDOW * WINDOW), np.float32)
-        total = np.zeros((5, patterns), np.float32)
+        windows = np.zeros((terms, 2, WINDOW * WINDOW), np.float32)
+        total = np.zeros((terms, patterns), np.float32)
         for p in range(block * _PIXELS, min((block + 1) * _PIXELS, pixels)):
             total[:] = 0
             level, column, row, first, low, high, sides = -1, 0, 0, 0, WINDOW, 0, 1
@@ -223,10 +178,7 @@ def light_with_slopes(
                     continue
                 if int(circle) != level or abs(i - column) > 1 or abs(j - row) > 1:
                     if level >= 0:
-                        for c in range(5):
-                            _empty(
-                                windows[c], sides, low, high, texels, first, rows * stride, stride, total[c]
-                            )
+                        _empty(windows, sides, low, high, texels, first, rows * stride, stride, total)
                     level, column, row, low, high, sides = int(circle), i, j, WINDOW, 0, 1
                     first = ((level * rows + row - reach) * columns + column - reach) * patterns
                 upper = j - row + 1
@@ -239,18 +191,18 @@ def light_with_slopes(
                     weight = samples[k, q, 3] * part
                     across = _interpolate_taps(table, level + side, x - np.float32(i))
                     down = _interpolate_taps(table, level + side, y - np.float32(j))
-                    steep = _tap_slopes(table, level + side, x - np.float32(i))
                     _add_square(windows[0, side], start, weight, across, down)
-                    _add_square(windows[1, side], start, slopes[k, q, 0] * part, across, down)
-                    _add_square(windows[2, side], start, slopes[k, q, 1] * part, across, down)
-                    _add_square(windows[3, side], start, weight, steep, down)
-                    steep = _tap_slopes(table, level + side, y - np.float32(j))
-                    _add_square(windows[4, side], start, weight, across, steep)
+                    if slopes is not None:
+                        steep = _tap_slopes(table, level + side, x - np.float32(i))
+                        _add_square(windows[1, side], start, slopes[k, q, 0] * part, across, down)
+                        _add_square(windows[2, side], start, slopes[k, q, 1] * part, across, down)
+                        _add_square(windows[3, side], start, weight, steep, down)
+                        steep = _tap_slopes(table, level + side, y - np.float32(j))
+                        _add_square(windows[4, side], start, weight, across, steep)
             if level >= 0:
-                for c in range(5):
-                    _empty(windows[c], sides, low, high, texels, first, rows * stride, stride, total[c])
+                _empty(windows, sides, low, high, texels, first, rows * stride, stride, total)
             for n in range(patterns):
-                for c in range(5):
+                for c in range(terms):
                     out[n, p, c] = total[c, n] * share
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fpplab.core.compiled import kernel, kernel_part
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import RigidTransform, distort
-from sim.light.look_up import WINDOW, interpolated_light, light_with_slopes, sharp_light
+from sim.light.look_up import WINDOW, interpolated_light, sharp_light
 from sim.scene import ALBEDO, DIRECT, RenderScene, X, Y, Z
 from sim.texture import Part, PatternTextures
 
@@ -95,7 +95,7 @@ class LightTable:
         if textures.weights is None:
             sharp_light(textures.texels[0], flat, x, y, np.float32(textures.fill), light)
         else:
-            interpolated_light(textures.texels, textures.weights, flat, x, y, light)
+            interpolated_light(textures.texels, textures.weights, flat, None, 0, x, y, light[..., None])
         pictures = light.reshape(len(light), h, w)
         if (h, w) == self.albedo.shape:
             return pictures
@@ -195,7 +195,7 @@ class MotionTable:
         terms = np.empty((textures.texels.shape[-1], end - first, 5), np.float32)
         x, y = map(np.float32, textures.origin)
         flat = self.table.samples.reshape(views, h * w, 4)
-        light_with_slopes(textures.texels, textures.weights, flat, self.slopes, first, x, y, terms)
+        interpolated_light(textures.texels, textures.weights, flat, self.slopes, first, x, y, terms)
         return terms
 
     def displaced(self, textures: PatternTextures, moves: Floats, room: RoomLevel) -> Irradiance:
