@@ -1,6 +1,5 @@
 """The verdict on a scan as a file inside its session, so that later reports need not judge again."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -39,23 +38,6 @@ class FindingFile(Document):
             raise ValueError(str(error)) from error
 
 
-class CriterionFile(Document):
-    """A criterion in a file."""
-
-    name: str
-    """A short key."""
-    meaning: str
-    """What it is."""
-    value: float
-    """As measured."""
-    limit: float
-    """Of a good scan."""
-    unit: str = ""
-    """Of both."""
-    at_least: bool = False
-    """Whether the limit is the least value."""
-
-
 class DiagnosisFile(Origin):
     """A verdict in a file, with when and by which program it was given."""
 
@@ -67,7 +49,7 @@ class DiagnosisFile(Origin):
     """What is wrong, the worst first."""
     unverified: tuple[str, ...] = Field(validation_alias=AliasChoices("unverified", "not_checked"))
     """What nothing checked, and why; version 0.1 calls it `not_checked`."""
-    criteria: tuple[CriterionFile, ...] = ()
+    criteria: tuple[Criterion, ...] = ()
     """What the verdict was given by; older files have none."""
     limits: dict[str, dict[str, Any]] | None = None
     """Limits of an expert that are not the usual ones, by section and name."""
@@ -77,8 +59,8 @@ class DiagnosisFile(Origin):
             Finding(cause_named(finding.cause), finding.evidence, finding.excess, finding.remedy)
             for finding in self.findings
         )
-        criteria = tuple(Criterion(**criterion.model_dump()) for criterion in self.criteria)
-        return Diagnosis(self.verdict, self.reason, findings, self.unverified, criteria, self.limits or {})
+        limits = self.limits or {}
+        return Diagnosis(self.verdict, self.reason, findings, self.unverified, self.criteria, limits)
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
@@ -96,7 +78,7 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
         reason=diagnosis.reason,
         findings=findings,
         unverified=tuple(diagnosis.unknown),
-        criteria=tuple(CriterionFile(**asdict(criterion)) for criterion in diagnosis.criteria),
+        criteria=tuple(diagnosis.criteria),
         limits={name: dict(values) for name, values in diagnosis.changed_limits.items()} or None,
     )
     write_text(folder / VERDICT, config.dump(file))
