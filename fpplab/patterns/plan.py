@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping
 from itertools import accumulate, pairwise
 from pathlib import Path
@@ -21,6 +22,8 @@ from fpplab.patterns.fringe_sets import AnySet, FringeSet, PatternSet, indices_a
 from fpplab.patterns.fringe_sets.base import ExposureTime
 from fpplab.patterns.response import with_named_response
 from fpplab.patterns.unwrapping import unwrapping_methods
+
+_log = logging.getLogger(__name__)
 
 
 def _single_exposure(given: dict[str, Any]) -> float:
@@ -94,19 +97,6 @@ class FilterRules(Document):
     """Least number of pixels of a connected region of the surface. A normal is computed from 25 pixels."""
 
 
-class OrderVote(Document):
-    """Repair of fringe orders by local majority, for coarse fringes biased by stray light."""
-
-    window: Annotated[int, Field(ge=3, le=51)] = 7
-    """Side in camera pixels of the square whose pixels vote, odd."""
-
-    @model_validator(mode="after")
-    def _odd(self) -> OrderVote:
-        if self.window % 2 == 0:
-            raise ValueError(f"'window' is {self.window}: must be odd, so that it has a centre")
-        return self
-
-
 class GreyLevels(Document):
     """How the response is measured: with uniform grey-level images from black to white."""
 
@@ -166,8 +156,8 @@ class Plan(Document):
     """
     masks: MaskRules = MaskRules()
     """Which pixels are measured."""
-    order_vote: OrderVote | None = None
-    """Repair of fringe orders by local majority; by default none."""
+    order_vote: dict[str, int] | None = None
+    """Of version 0.1, and without effect: orders that are in doubt are left out, not voted on."""
     filter: FilterRules | None = None
     """Which points are removed as lying on no surface, `{}` for the usual rules; by default none."""
     response: Curve | None = None
@@ -263,7 +253,10 @@ class Plan(Document):
         with naming_other_kinds(file, "plan"):
             data = config.parse_yaml(config.read_text(file), file)
             data = with_named_files(with_named_response(data, file), file.parent)
-            return config.validate(data, cls, file)
+            plan = config.validate(data, cls, file)
+        if plan.order_vote is not None:
+            _log.warning("%s: 'order_vote' has no effect any more: pixels in doubt are left out", path)
+        return plan
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Plan:
         """Copy with other values, by their names in a plan file; they are not checked."""

@@ -39,6 +39,7 @@ from fpplab.phase.coded_axes import (
     may_be_a_period_off,
     sets_of_axis,
 )
+from fpplab.phase.consistency import contradiction
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.disagreement import widened_by_disagreement
@@ -47,13 +48,11 @@ from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.guided_axis import around_prediction, joined
 from fpplab.phase.isolated import isolated_pixels
 from fpplab.phase.kernels import decode_pixels, erase_doubtful
-from fpplab.phase.limits import BIASED_ORDERS, ORDERS
+from fpplab.phase.limits import BIASED_ORDERS
 from fpplab.phase.one_frame import decode_single_frame, single_frame
-from fpplab.phase.order_vote import vote_orders
 from fpplab.phase.outside import outside_share
 from fpplab.phase.precision import coordinate_spread
 from fpplab.phase.recipe import recipe_of
-from fpplab.phase.reference import fuse, unwrap
 from fpplab.phase.spatial_axis import unwrap_by_neighbours
 from fpplab.phase.tables import Maps, Recipe
 from fpplab.phase.unwrapping import WavelengthSequence, check_unwrapping, wavelength_sequence
@@ -244,10 +243,6 @@ def _decode_unwrapped(
     outside = outside_share(recording, sequences, errors, bounds)
     decoded = _decoded_from_maps(recording, maps, first.shape, errors.phase_error_is_known)
     decoded = replace(decoded, outside=outside, edges=edges)
-    if plan.order_vote is not None:
-        for sequence in sequences:
-            doubt = maps.doubt_u if sequence.axis == "x" else maps.doubt_v
-            _repair_orders_by_vote(decoded, recording, sequence, errors, doubt, bounds)
     for sequence in sequences:
         coordinate = decoded.coordinate(sequence.axis)
         period = axis_length(size, sequence.axis) / plan.fringes[sequence.finest].stripes
@@ -258,12 +253,11 @@ def _decode_unwrapped(
 def _allocate(pixels: int, plan: Plan) -> Maps:
     """Maps for what the plan measures; empty ones for what it does not."""
     along = {axis: pixels if axis in plan.axes else 0 for axis in AXES}
-    doubt = {axis: n if plan.order_vote else 0 for axis, n in along.items()}
-    sizes = (along["x"], along["y"], pixels, pixels, pixels, pixels, doubt["x"], doubt["y"])
-    u, v, modulation, sigma, phase_error, disagreement, doubt_u, doubt_v = (buffers.empty(n) for n in sizes)
+    sizes = (along["x"], along["y"], pixels, pixels, pixels, pixels)
+    u, v, modulation, sigma, phase_error, disagreement = (buffers.empty(n) for n in sizes)
     cause = buffers.empty(pixels, np.uint8)
     cause[:] = 0
-    return Maps(u, v, modulation, sigma, phase_error, disagreement, doubt_u, doubt_v, cause)
+    return Maps(u, v, modulation, sigma, phase_error, disagreement, cause)
 
 
 def _decoded_from_maps(
@@ -314,7 +308,7 @@ def _drop_doubtful_orders(
 ) -> None:
     """Erase pixels whose order a bias may have changed, and all that the kernel keeps of doubtful ones."""
     plan, shape = recording.plan, recording.frames[0].shape
-    may_be_biased = plan.order_vote is None and plan.masks.wrong_order_max < 1.0
+    may_be_biased = plan.masks.wrong_order_max < 1.0
     sigma, cause = maps.sigma.reshape(shape), maps.cause.reshape(shape)
     # The noise of phases is the same along both axes, and `sigma` that of the first one.
     finest = plan.fringes[plan.finest_set(plan.axes[0])].stripes
@@ -347,34 +341,7 @@ def _contradiction(
     measured = _phases_at(recording, sequence, errors, pixels)
     length = axis_length(recording.projector_size, sequence.axis)
     interval = interval_of(bounds, sequence.axis, length, pixels)
-    unwrapped = unwrap(measured.phases, sequence, measured.position_sigma[-1], interval=interval)
-    return np.asarray(np.sign(unwrapped.second_best_order) * unwrapped.disagreement)
-
-
-def _repair_orders_by_vote(
-    decoded: Decoded,
-    recording: Recording,
-    sequence: WavelengthSequence,
-    errors: ErrorModel,
-    doubt: Map,
-    bounds: Mapping[Axis, PossibleCoordinates] | None,
-) -> None:
-    """Let neighbours vote on doubtful orders of one axis; reject pixels that they contradict."""
-    plan, vote = recording.plan, recording.plan.order_vote
-    assert vote is not None
-    coordinate = decoded.coordinate(sequence.axis)
-    length = axis_length(recording.projector_size, sequence.axis)
-    pixels = np.flatnonzero(np.isfinite(coordinate.ravel()) & (doubt > ORDERS.doubtful_share))
-    measured = _phases_at(recording, sequence, errors, pixels)
-    sigma, edge_margin = measured.position_sigma[-1], ORDERS.edge_margin_px / length
-    interval = interval_of(bounds, sequence.axis, length, pixels)
-    unwrapped = unwrap(measured.phases, sequence, sigma, edge_margin, interval=interval)
-    other = unwrap(measured.phases, sequence, sigma, edge_margin, unwrapped.second_best_order, interval)
-    position = fuse(measured, other.position).position
-    alternative = np.where(other.is_unambiguous, position * length - 0.5, np.nan)
-    period = length / plan.fringes[sequence.finest].stripes
-    backed = vote_orders(coordinate, pixels, alternative, vote.window, period)
-    _drop(decoded, pixels[~backed & (doubt[pixels] > plan.masks.disagreement_max)])
+    return contradiction(measured, sequence, interval)
 
 
 def _drop(decoded: Decoded, pixels: NDArray[np.int64]) -> None:

@@ -314,7 +314,6 @@ def _choose_hypothesis(
         # Where one of them is far their costs differ by far more than this.
         min_difference = max(_MIN_COST_DIFFERENCE, apart * variance)
         good[i] = kept if abs(cost_a - cost_b) > min_difference else _ZERO
-        rows[i + _WORST] = worst
         rows[i] = b if cost_b < cost_a else a
 
 
@@ -476,9 +475,6 @@ def decode_pixels(recipe: Recipe, pixel_bytes: int, start: int, stop: int, maps:
                 settle_orders(
                     axis, recipe, rows, fusion, turns, weights, shares, good, pixel_count, *fused, cause
                 )
-                doubt = maps.doubt_u if axis == 0 else maps.doubt_v
-                if len(doubt) > 0:
-                    _copy(rows[_WORST:], doubt[at:], pixel_count)
         _reduced_root_of_chi2(disagreement, freedom, pixel_count)
         _fill_maps(maps, at, modulation[recipe.reference], sigma, common, good, pixel_count)
     return accumulators[_SUM_ROWS * ROW :].max()

@@ -52,10 +52,6 @@ class OrderLimits(NamedTuple):
     max_wave_turns: float = 0.5
     """Height of the response's waves in periods of the finer fringes up to which that holds. Derived: higher
     ones change orders."""
-    doubtful_share: float = 0.25
-    """Share of a period beyond which a disagreement makes an order doubtful, for the vote of the neighbours.
-    Chosen: clean data stay below."""
-    max_vote_passes: int = 5  # passes of the vote (chosen)
 
 
 class OutsideLimits(NamedTuple):

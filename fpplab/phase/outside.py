@@ -13,10 +13,10 @@ import numpy as np
 from fpplab.core.conventions import TWO_PI, Axis, Floats, axis_length
 from fpplab.patterns.recording import Recording
 from fpplab.phase.bounds import PossibleCoordinates, interval_of
+from fpplab.phase.consistency import chi2_of_sets
 from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.error_model import ErrorModel
 from fpplab.phase.limits import ORDERS, OUTSIDE
-from fpplab.phase.reference import fuse
 from fpplab.phase.unwrapping import WavelengthSequence
 
 
@@ -77,7 +77,7 @@ def _least_chi2(measured: AxisPhases, low: Floats, high: Floats, margin: float) 
     inside, outside = np.full(low.shape, np.inf), np.full(low.shape, np.inf)
     for order in range(int(np.ceil(stripes)) + 1):
         position = (order + measured.phases[-1] / TWO_PI) / stripes
-        chi2 = fuse(measured, position).chi2
+        chi2 = chi2_of_sets(measured, position)
         is_inside = (low - beyond <= position) & (position <= high + beyond)
         inside = np.where(is_inside, np.minimum(inside, chi2), inside)
         outside = np.where(is_inside | (position > 1.0), outside, np.minimum(outside, chi2))

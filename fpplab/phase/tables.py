@@ -62,7 +62,7 @@ class Recipe(NamedTuple):
 class Maps(NamedTuple):
     """Flat float32 maps of the camera's P pixels that the compiled decoder fills.
 
-    An empty map of `u`, `v`, `doubt_u` or `doubt_v` is left out.
+    An empty map of `u` or `v` is left out.
     """
 
     u: NDArray[np.float32]  # projector coordinates in px, NaN where the pixel is not measured
@@ -71,6 +71,4 @@ class Maps(NamedTuple):
     sigma: NDArray[np.float32]  # standard uncertainty of the coordinate of the first coded axis by noise
     phase_error: NDArray[np.float32]  # the same by errors that are common to the pixels of a phase
     disagreement: NDArray[np.float32]  # disagreement of the fringe sets: the root of χ² per degree of freedom
-    doubt_u: NDArray[np.float32]  # greatest disagreement of the chosen hypothesis along each axis, in periods
-    doubt_v: NDArray[np.float32]  # greatest disagreement of the chosen hypothesis along each axis, in periods
     cause: NDArray[np.uint8]  # as `Decoded.uncertain_order`; UNEXPLAINED where noise explains no order

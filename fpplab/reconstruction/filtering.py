@@ -49,7 +49,6 @@ class Rule(IntEnum):
 def apply_filter(
     decoded: Decoded, cloud: Cloud, plan: Plan, projector_size: tuple[int, int]
 ) -> tuple[Decoded, Cloud]:
-    # A plan with an order vote has biased coarse fringe sets: the contradiction rule is not applied then.
     # projector_size (width, height) px
     rules = plan.filter
     if rules is None:
@@ -57,7 +56,7 @@ def apply_filter(
     grid = cloud.grid()
     removed = buffers.empty(grid.index.shape, np.uint8)
     removed[:] = 0
-    if plan.order_vote is None and rules.disagreement_max > 0.0 and decoded.disagreement is not None:
+    if rules.disagreement_max > 0.0 and decoded.disagreement is not None:
         # Where a typical pixel's sets disagree, noise is not the limit (a response that is not linearised,
         # interreflections), and pixels are judged relative to the typical one.
         limit = np.float32(rules.disagreement_max * max(1.0, decoded.typical_disagreement))

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import tifffile
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fpplab.core.conventions import Lattice, axis_length, mirror_centres
 from fpplab.core.errors import Cancelled, ConfigError, DataError
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
-from fpplab.patterns.plan import MaskRules, OrderVote, Plan
+from fpplab.patterns.plan import MaskRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode, wrapped_phase
 from fpplab.phase.kernels import _arctangent_in_turns
@@ -130,9 +130,8 @@ def test_sigma_is_the_scatter(plan, bits):
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("steps", [3, 4, 12])
 @pytest.mark.parametrize("stripes", [(1, 8, 64), (1, 9.43, 142.05), (0.9, 7, 50)])
-@pytest.mark.parametrize("vote", [None, OrderVote()])  # a vote takes the place of the risk of wrong orders
-def test_no_fringe_is_thrown_at_the_edges(stripes, steps, axis, vote):
-    plan = make_plan(*((axis, s, steps) for s in stripes), order_vote=vote)
+def test_no_fringe_is_thrown_at_the_edges(stripes, steps, axis):
+    plan = make_plan(*((axis, s, steps) for s in stripes))
     edge = np.array([0, 1, SIZE[0] - 2, SIZE[0] - 1])
     size = (SIZE[0], 2) if axis == "x" else (2, SIZE[0])
     levels = [x[:, edge] if axis == "x" else x[edge].T for x in render(plan, size)]
@@ -250,40 +249,6 @@ def test_an_order_in_dispute_is_rejected():
         levels = seen_from(u, plan, bias=2 * np.pi * share / 16)
         decoded = decode(Recording(record(levels, 16), plan, SIZE, bits=16))
         assert decoded.valid.all() == decoded.valid.any() == kept
-
-
-def test_a_vote_repairs_the_orders_that_stray_light_has_moved():
-    masks = MaskRules(disagreement_max=0.5, wrong_order_max=1.0)
-    plan = make_plan(("x", 1, 3), ("x", 16, 3), masks=masks)
-    voting = plan.model_copy(update={"order_vote": OrderVote(window=7)})
-    y, x = np.mgrid[0:60, 0:300]
-    u = 100 + 2.2 * x + 0.3 * y
-    bias = 2 * np.pi * 0.38 / 16 * np.sin(y / 10)
-    frames = record(seen_from(u, plan, amplitude=0.15, bias=bias), noise=2.0, seed=2)
-    plain, voted = decode(Recording(frames, plan, SIZE)), decode(Recording(frames, voting, SIZE))
-    period = SIZE[0] / 16
-
-    def wrong(decoded):
-        return np.mean(np.abs(decoded.u - u)[decoded.valid] > period / 2)
-
-    assert wrong(plain) > 0.005
-    assert wrong(voted) < wrong(plain) / 20
-    assert voted.valid.mean() > 0.999
-
-
-@settings(deadline=None, max_examples=10)
-@given(periods=st.floats(-3, 3), seed=st.integers(0, 99))
-@example(periods=1.0, seed=0)
-def test_a_vote_leaves_the_steps_of_clean_data_alone(periods, seed):
-    plan = make_plan(("x", 1, 4), ("x", 16, 4))
-    voting = plan.model_copy(update={"order_vote": OrderVote(window=9)})
-    u = np.tile(300 + 0.5 * np.arange(120.0), (20, 1))
-    u[5:11, 40:46] += periods * SIZE[0] / 16  # more than 30 px: fewer count as wrong at whole periods
-    u[:, 80:] += periods * SIZE[0] / 16
-    frames = record(seen_from(u, plan), noise=1.0, seed=seed)
-    plain, voted = decode(Recording(frames, plan, SIZE)), decode(Recording(frames, voting, SIZE))
-    np.testing.assert_array_equal(plain.u, voted.u)
-    assert np.nanmax(np.abs(voted.u - u)) < 2.0
 
 
 def test_twelve_bits_are_told_in_eight_bit_greys():

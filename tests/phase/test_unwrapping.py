@@ -1,4 +1,4 @@
-"""Synthetic wavelengths, the projector's edges, and the repair of fringe orders."""
+"""Synthetic wavelengths, the projector's edges, and contradictions between sets."""
 
 import re
 
@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
-from fpplab.patterns.plan import OrderVote, Plan
-from fpplab.phase.order_vote import vote_orders
-from fpplab.phase.reference import unwrap
+from fpplab.patterns.plan import Plan
+from fpplab.phase.consistency import chi2_of_sets, contradiction
+from fpplab.phase.demodulation import AxisPhases
 from fpplab.phase.unwrapping import wavelength_sequence
+from tests.phase.reference_decoder import fuse, unwrap
 
 
 def make_plan(stripes, unwrapping="hierarchical", steps=4, axis="x", **more):
@@ -132,51 +133,35 @@ def test_light_from_beyond_the_projector_is_not_certain():
     np.testing.assert_array_equal(found.is_unambiguous, [False, True, False])
 
 
-def test_a_biased_base_shows_as_disagreement():
+@pytest.mark.parametrize("bias", [0.3, -0.3])
+def test_a_biased_base_shows_as_a_contradiction_with_its_sign(bias):
     plan = make_plan([1, 16])
     phases = wrapped(plan, np.full(1, 0.4))
-    phases[0] += 2 * np.pi * 0.3 / 16
+    phases[0] += 2 * np.pi * bias / 16
     sequence = wavelength_sequence(plan, "x", "plan")
     found = unwrap(phases, sequence)
     assert found.position == pytest.approx(0.4)
     assert found.disagreement == pytest.approx(0.3)
-    other = unwrap(phases, sequence, changed_order=found.second_best_order)
-    assert other.position == pytest.approx(0.4 + 1 / 16)
-    assert other.disagreement == pytest.approx(0.7)
+    assert contradiction(seen(plan, phases), sequence, (0.0, 1.0)) == pytest.approx(bias)
 
 
-def test_a_majority_repairs_an_order():
-    truth = np.add.outer(np.linspace(0, 5, 30), np.linspace(100, 140, 40)).astype(np.float32)
-    generator = np.random.default_rng(2)
-    wrong = generator.permutation(truth.size)[:200]
-    coordinate = truth.copy()
-    coordinate.reshape(-1)[wrong] += 20
-    backed = vote_orders(coordinate, wrong, truth.ravel()[wrong].astype(float), window=7, period=20.0)
-    np.testing.assert_array_equal(coordinate, truth)
-    assert backed.all()
+def seen(plan, phases, sigma=1e-3):
+    stripes = np.array([plan.fringes[i].stripes for i in plan.sets_along("x")])
+    variance = np.full(phases.shape, sigma**2)
+    return AxisPhases(phases, variance, np.zeros_like(variance), stripes, counted_share=1.0)
 
 
-def test_a_lonely_pixel_is_neither_changed_nor_backed():
-    coordinate = np.full((9, 9), np.nan, np.float32)
-    coordinate[4, 4] = 50.0
-    backed = vote_orders(coordinate, np.array([40]), np.array([70.0]), window=5, period=20.0)
-    assert coordinate[4, 4] == 50.0
-    assert not backed.any()
-
-
-@pytest.mark.parametrize(("agreeing", "backed"), [(1, False), (12, False), (13, True)])
-def test_only_a_majority_of_the_measured_neighbours_backs_a_pixel_without_alternative(agreeing, backed):
-    coordinate = np.full((5, 5), 100.0, np.float32)
-    coordinate.reshape(-1)[:agreeing] = 50.5
-    coordinate[2, 2] = 50.0
-    if agreeing > 12:  # the pixel itself lies among the first
-        coordinate.reshape(-1)[agreeing] = 50.5
-    found = vote_orders(coordinate, np.array([12]), np.array([np.nan]), window=5, period=20.0)
-    assert found.tolist() == [backed]
-    assert coordinate[2, 2] == 50.0
-
-
-@pytest.mark.parametrize("window", [4, 1, 53])
-def test_a_window_without_a_centre_is_refused(window):
-    with pytest.raises(ValueError, match="window"):
-        OrderVote(window=window)
+@pytest.mark.parametrize(
+    ("stripes", "unwrapping"), [((1, 6, 40), "hierarchical"), ((49, 56, 64), "heterodyne")]
+)
+@pytest.mark.parametrize("interval", [(0.0, 1.0), (0.2, 0.5)])
+def test_few_pixels_agree_as_the_reference_has_it(stripes, unwrapping, interval):
+    plan = make_plan(stripes, unwrapping)
+    sequence = wavelength_sequence(plan, "x", "plan")
+    phases = np.random.default_rng(5).uniform(0, 2 * np.pi, (3, 400))  # of any disagreement
+    measured = seen(plan, phases)
+    known = unwrap(phases, sequence, measured.position_sigma[-1], interval=interval)
+    signed = np.sign(known.second_best_order) * known.disagreement
+    np.testing.assert_allclose(contradiction(measured, sequence, interval), signed, atol=1e-12)
+    chi2 = chi2_of_sets(measured, known.position)
+    np.testing.assert_allclose(chi2, fuse(measured, known.position).chi2, rtol=1e-9)

@@ -12,7 +12,7 @@ from fpplab.core.conventions import Floats, Image, Mask, axis_length, phase_of_c
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
-from fpplab.patterns.plan import FilterRules, OrderVote, Plan
+from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.filtering import Rule, apply_filter, count_removed
@@ -243,13 +243,6 @@ def test_what_all_pixels_suffer_is_held_against_none() -> None:
     assert (removed[few > 0] == Rule.CONTRADICTION).all()
     assert not removed[few == 0].any()
     assert not removed_from(plan(), frames(plan(), light, coarse_bias=bias)).any()
-
-
-def test_a_plan_that_votes_hears_no_contradiction() -> None:
-    light = Light(plane(NEAR), np.ones((H, W)))
-    few = np.where((np.abs(U - 60) < 3) & (np.abs(V - 45) < 3), 0.2, 0.0)
-    voting = plan(order_vote=OrderVote())
-    assert not removed_from(voting, frames(voting, light, coarse_bias=few)).any()
 
 
 def test_without_a_filter_all_comes_back_as_it_was() -> None:

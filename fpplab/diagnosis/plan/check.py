@@ -42,7 +42,7 @@ from fpplab.phase import decode
 TROUGH, CREST = 0.25, 0.65
 """Level of zero, and range of grey levels above it, as shares of full scale where a response is straightened.
 Chosen."""
-EVERY_ORDER = {"order_vote": None, "masks": MaskRules(disagreement_max=0.5, wrong_order_max=1.0)}
+EVERY_ORDER = {"masks": MaskRules(disagreement_max=0.5, wrong_order_max=1.0)}
 """Of plans that are tried: a pixel left out for a doubtful order would count as one that contradicts."""
 MAX_EQUAL_ORIGIN_RAD = 0.1  # phase origins that are the same (chosen: a sixtieth of a stripe)
 

@@ -199,7 +199,7 @@ def _prepared(recording: Recording, limits: PlanCheckLimits) -> tuple[Sets, Reco
 
 
 def _placed(sampled: Recording, sets: Sets, sample: PhaseSample) -> PlacedSample:
-    plan = sampled.plan.model_copy(update={"fringes": sets, "order_vote": None})
+    plan = sampled.plan.model_copy(update={"fringes": sets})
     gradients = {
         axis: sets[ranked[-1]].shift_sign * sample.gradients[ranked[-1]]
         for axis in AXES
