@@ -11,7 +11,7 @@ from fpplab.cli import console
 from fpplab.cli.app import Commands, Force, Json
 from fpplab.cli.completion import existing_file, option
 from fpplab.core.errors import DeviceError, DisconnectedError
-from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.files import check_new_file
 
 if TYPE_CHECKING:
     from drivers.basler.camera import CameraAsLeft
@@ -42,8 +42,7 @@ def save_settings(
 
     Example: `fpplab camera save camera.pfs`
     """
-    need_suffix(file, ".pfs")
-    refuse_existing(file, force)
+    check_new_file(file, force, ".pfs")
     with _select_camera(serial) as device:
         device.save_features(file)
         info = device.info()

@@ -12,7 +12,7 @@ from fpplab.cli.app import Force, Json, Out
 from fpplab.cli.completion import existing_config, existing_file, names_of, option
 from fpplab.core.confirmation import ConfirmationRequired, can_confirm, confirm, how_to_confirm
 from fpplab.core.errors import Cancelled, ConfigError
-from fpplab.core.files import need_suffix, refuse_existing, write_atomic, write_text
+from fpplab.core.files import check_new_file, refuse_existing, write_atomic, write_text
 
 
 @dlp4500.command()
@@ -49,8 +49,7 @@ def build(
     from fpplab.patterns.plan import Plan
     from fpplab.setup.rig_check.marker import marker
 
-    need_suffix(out, ".bin")
-    refuse_existing(out, force)
+    check_new_file(out, force, ".bin")
     chosen = Plan.load(plan)
     chosen.check_projector(SIZE, plan)
     firmware = Firmware.load(base)

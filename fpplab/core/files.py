@@ -317,3 +317,9 @@ def is_portable_name(name: str) -> bool:
 def refuse_existing(path: Path, force: bool) -> None:
     if path.exists() and not force:
         raise ConfigError(f"{path}: exists already; name another output, or add --force to replace it")
+
+
+def check_new_file(path: Path, force: bool, *suffixes: str) -> None:
+    """Refuse a file to be written whose name ends in none of the suffixes, or that exists already."""
+    need_suffix(path, *suffixes)
+    refuse_existing(path, force)

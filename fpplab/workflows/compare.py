@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fpplab.core.errors import DataError
-from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.files import check_new_file
 from fpplab.core.session_names import CALIBRATION, CLOUD, JOURNAL
 from fpplab.results.observer import Observer
 
@@ -67,8 +67,7 @@ def check_comparison_output(request: ComparisonRequest) -> None:
     """Refuse an output that cannot be written, or exists already."""
     for path, suffixes in ((request.out, (".png", ".ply")), (request.page, (".html",))):
         if path:
-            need_suffix(path, *suffixes)
-            refuse_existing(path, request.force)
+            check_new_file(path, request.force, *suffixes)
 
 
 def _compare(request: ComparisonRequest, observer: Observer) -> ComparisonResult:

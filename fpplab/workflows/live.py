@@ -13,7 +13,7 @@ from fpplab.core.conventions import Mask
 from fpplab.core.depth import first_stated
 from fpplab.core.errors import ConfigError
 from fpplab.core.extras import how_to_install, need_extra
-from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.files import check_new_file
 from fpplab.core.progress import ignore
 from fpplab.devices import Frame
 from fpplab.devices.rig import Rig
@@ -108,8 +108,7 @@ def _check_request(request: LiveRequest) -> tuple[Rig, LiveOptions]:
     if request.item and rig.file.fixture is None:
         raise ConfigError(f"{rig.source}: 'fixture' is missing, and --item {request.item} needs one")
     if request.recording:
-        need_suffix(request.recording, ".rrd")
-        refuse_existing(request.recording, request.force)
+        check_new_file(request.recording, request.force, ".rrd")
         need_extra("rerun")
     options = LiveOptions(
         plan=plan,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.file_kinds import naming_other_kinds
-from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.files import check_new_file, need_suffix, refuse_existing
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
 
@@ -97,8 +97,7 @@ def run_triangulation(request: MapsRequest, observer: Observer | None = None) ->
     from fpplab.reconstruction.uncertainty import with_uncertainty
     from fpplab.results.maps import MapsResult
 
-    need_suffix(request.out, *CLOUD_SUFFIXES)
-    refuse_existing(request.out, request.force)
+    check_new_file(request.out, request.force, *CLOUD_SUFFIXES)
     observer, stopwatch = observer or Observer(), Stopwatch()
     observer.calibration(request.calibration)
     with observer.stage("Triangulating") as progress:

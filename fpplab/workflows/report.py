@@ -9,7 +9,7 @@ import numpy as np
 from fpplab.calibration.model import Calibration, CalibrationFile
 from fpplab.clouds import Cloud, load_cloud
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.files import check_new_file
 from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED, JOURNAL
 from fpplab.diagnosis import Diagnosis, diagnose_scan
 from fpplab.diagnosis.record import load_diagnosis
@@ -38,8 +38,7 @@ class ScansRequest:
 def run_scans_report(request: ScansRequest, observer: Observer | None = None) -> ScansResult:
     """Read several scans, subtract the first from each other one, and write the page."""
     observer = observer or Observer()
-    need_suffix(request.out, ".html")
-    refuse_existing(request.out, request.force)
+    check_new_file(request.out, request.force, ".html")
     count = len(request.scans)
     if not 2 <= count <= MAX_SCANS:
         raise ConfigError(f"{count} scans are given; a page compares 2 to {MAX_SCANS}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import is_portable_name, need_suffix, refuse_existing
+from fpplab.core.files import check_new_file, is_portable_name
 from fpplab.core.session_names import CLOUD, JOURNAL
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
@@ -74,8 +74,7 @@ def run_acceptance(request: AcceptanceRequest, observer: Observer | None = None)
 
 def check_acceptance_input(request: AcceptanceRequest) -> None:
     """Refuse an output that exists already, and points from nowhere or from two places."""
-    need_suffix(request.out, ".html")
-    refuse_existing(request.out, request.force)
+    check_new_file(request.out, request.force, ".html")
     if bool(request.spheres or request.planes) == bool(request.rig):
         raise ConfigError("give either --spheres and --planes, or --rig, to say where the points come from")
 

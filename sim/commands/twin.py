@@ -8,7 +8,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Commands, Force, Json, Out, RigName
 from fpplab.cli.completion import option
-from fpplab.core.files import need_suffix, refuse_existing, write_atomic
+from fpplab.core.files import check_new_file, write_atomic
 from fpplab.core.session_names import CLOUD
 
 twin = typer.Typer(
@@ -47,8 +47,7 @@ def write_archive(out: Out, force: Force = False, json: Json = False) -> None:
     """
     from sim.extension import archive_files, write_extension
 
-    need_suffix(out, ".zip")
-    refuse_existing(out, force)
+    check_new_file(out, force, ".zip")
     write_atomic(out, write_extension)
     console.print_result({"extension": str(out), "files": len(archive_files())}, json)
 
@@ -74,8 +73,7 @@ def describe_rig(
     """
     from sim.preview import Arrangement, arrangement_summary, load_simulated_rig, save_preview
 
-    need_suffix(out, ".npz")
-    refuse_existing(out, force)
+    check_new_file(out, force, ".npz")
     arrangement = Arrangement(item, pose, baseline, axis, stripes, phase_steps, exposure)
     with load_simulated_rig(rig) as bench:
         save_preview(bench, arrangement, shown_step, out)
@@ -106,8 +104,7 @@ def export_blend(
     """
     from sim.preview import Arrangement, arrangement_summary, export_preview, load_simulated_rig, make_preview
 
-    need_suffix(out, ".blend")
-    refuse_existing(out, force)
+    check_new_file(out, force, ".blend")
     arrangement = Arrangement(item, pose, baseline, axis, stripes, phase_steps, exposure)
     with load_simulated_rig(rig) as bench:
         with console.progress("Exporting"):

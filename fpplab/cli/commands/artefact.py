@@ -9,7 +9,7 @@ from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, app
 from fpplab.cli.completion import option
 from fpplab.core.errors import ConfigError
-from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.files import check_new_file
 
 _SHAPES = Path(__file__).parents[2] / "artefacts" / "shapes"
 _NAMES = sorted(path.stem for path in _SHAPES.glob("[!_]*.py"))
@@ -40,8 +40,7 @@ def artefact_command(
     """
     from fpplab import artefacts
 
-    need_suffix(out, ".stl")
-    refuse_existing(out, force)
+    check_new_file(out, force, ".stl")
     if bead is not None and layer is None:
         raise ConfigError("--bead: marks lie between layers; give the height of a layer too, with --layer")
     mesh = artefacts.make(name)

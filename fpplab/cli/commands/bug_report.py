@@ -8,7 +8,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out, app
 from fpplab.cli.completion import option
-from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.files import check_new_file
 
 
 @app.command("bug-report", rich_help_panel="system")
@@ -33,8 +33,7 @@ def bug_report_command(
     """
     from fpplab.sessions.bug_report import write_bug_report
 
-    need_suffix(out, ".zip")
-    refuse_existing(out, force)
+    check_new_file(out, force, ".zip")
     entries = write_bug_report(out, sources or [], frames)
     rows = [[entry.name, entry.size, entry.what] for entry in entries]
     contents = [{"name": entry.name, "bytes": entry.size, "what": entry.what} for entry in entries]

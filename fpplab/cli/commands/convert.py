@@ -9,7 +9,7 @@ from fpplab.cli import console
 from fpplab.cli.app import CameraSize, Force, Json, Out, ProjectorLattice, ProjectorSize, app
 from fpplab.cli.completion import existing_file, option
 from fpplab.core.errors import ConfigError
-from fpplab.core.files import need_suffix, refuse_existing, write_text
+from fpplab.core.files import check_new_file, write_text
 from fpplab.core.units import MM
 
 
@@ -50,8 +50,7 @@ def convert_command(
 
     own = [file for file in files if is_own(file)]
     if not own:
-        need_suffix(out, ".yaml")
-        refuse_existing(out, force)
+        check_new_file(out, force, ".yaml")
         if unit and unit not in MM:
             raise ConfigError(f"--unit is '{unit}': must be one of {', '.join(dict.fromkeys(MM))}")
         mm_per_unit = MM[unit] if unit else None
@@ -65,8 +64,7 @@ def convert_command(
                 f"{files[0]}: is a calibration of fpplab, which says itself what its devices are; leave "
                 "sizes and lattice out, and the unit"
             )
-        need_suffix(out, ".xml", ".yml")
-        refuse_existing(out, force)
+        check_new_file(out, force, ".xml", ".yml")
         calibration = Calibration.load(files[0])
         if calibration.uncertainty:
             console.log_status(

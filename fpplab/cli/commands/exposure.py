@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fpplab.cli import console
 from fpplab.cli.app import Force, Json, PlanName, RigName, app
 from fpplab.cli.completion import option
-from fpplab.core.files import need_suffix, refuse_existing, write_text
+from fpplab.core.files import check_new_file, write_text
 
 
 @app.command("exposure", rich_help_panel="plan")
@@ -38,8 +38,7 @@ def exposure_command(
     from fpplab.setup.exposures import choose_exposures, measure_light, um_per_px
 
     if out:
-        need_suffix(out, ".yaml", ".yml")
-        refuse_existing(out, force)
+        check_new_file(out, force, ".yaml", ".yml")
     loaded = Plan.load(plan)
     known = Calibration.load(calibration) if calibration else None
     with Rig.load(rig) as bench:

@@ -20,7 +20,7 @@ from fpplab.cli.app import (
 )
 from fpplab.cli.completion import config_option, option
 from fpplab.core.errors import ConfigError
-from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.files import check_new_file
 
 
 @app.command("import", rich_help_panel="data")
@@ -127,8 +127,7 @@ def _import_maps(
             raise ConfigError(f"{name} goes with images, not with --phase")
     if projector_size is None:
         raise ConfigError("--projector-size: is missing; maps do not say it")
-    need_suffix(out, ".npz")
-    refuse_existing(out, force)
+    check_new_file(out, force, ".npz")
     with console.progress("Reading maps") as report:
         imported = import_phase_maps(PhaseMapSource(projector_size, x, y, period, sigma))
         imported.decoded.save(out)

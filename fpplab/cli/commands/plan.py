@@ -25,7 +25,7 @@ from fpplab.cli.app import (
 )
 from fpplab.cli.completion import existing_config, names_of, option
 from fpplab.core.errors import DataError
-from fpplab.core.files import need_suffix, refuse_existing, write_atomic, write_text
+from fpplab.core.files import check_new_file, write_atomic, write_text
 
 plan_app = typer.Typer(
     cls=Commands,
@@ -76,8 +76,7 @@ def show_command(
     from fpplab.setup.plan_preview import preview_plan
 
     if out:
-        need_suffix(out, ".png")
-        refuse_existing(out, force)
+        check_new_file(out, force, ".png")
     loaded_plan = Plan.load(plan)
     with Rig.load(rig) as bench:
         known = Calibration.load(calibration) if calibration else None
@@ -129,8 +128,7 @@ def fine_command(
     from fpplab.phase.fine_plan import fine_plan
     from fpplab.pipeline.depth import given_depth
 
-    need_suffix(out, ".yaml", ".yml")
-    refuse_existing(out, force)
+    check_new_file(out, force, ".yaml", ".yml")
     given_depth(depth)
     plan = fine_plan(Calibration.load(calibration), depth, blur)
     write_text(out, f"# Fine fringes alone, for faces that light each other.\n{dump(plan)}")
@@ -170,8 +168,7 @@ def guess_command(
     from fpplab.sessions.image_selection import ImageSelection, numbers_of
     from fpplab.sessions.importing import read_images
 
-    need_suffix(out, ".yaml", ".yml")
-    refuse_existing(out, force)
+    check_new_file(out, force, ".yaml", ".yml")
     source = ImageSelection(tuple(places or ()), frames, first, first_step, numbers_of(skip))
     images, depth = read_images(
         source,

@@ -12,7 +12,7 @@ from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Commands, Force, Json, Out, PlanName, RigName, app
 from fpplab.cli.completion import option
 from fpplab.core.errors import ConfigError, DeviceError
-from fpplab.core.files import need_suffix, refuse_existing, write_text
+from fpplab.core.files import check_new_file, write_text
 
 if TYPE_CHECKING:
     from fpplab.setup.display_timing import DisplayTiming
@@ -55,8 +55,7 @@ def new_command(
     from fpplab.devices.discovery import connected_devices
     from fpplab.setup.new_rig import RigSetup
 
-    need_suffix(out, ".yaml")
-    refuse_existing(out, force)
+    check_new_file(out, force, ".yaml")
     if not no_questions and not _has_terminal():
         raise ConfigError(
             "there is nobody at the terminal to be asked; add --no-questions and name the devices"

@@ -12,7 +12,7 @@ from fpplab.cli.app import MEASURE, Force, Json, app
 from fpplab.cli.completion import existing_data, option
 from fpplab.core.errors import ConfigError
 from fpplab.core.extras import need_extra
-from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.files import check_new_file
 from fpplab.core.session_names import CALIBRATION, JOURNAL, RECORDING
 
 if TYPE_CHECKING:
@@ -68,8 +68,7 @@ def view_command(
     if align and not mesh:
         raise ConfigError("--align needs --mesh, the true shape that the cloud is moved onto")
     if out:
-        need_suffix(out, ".rrd")
-        refuse_existing(out, force)
+        check_new_file(out, force, ".rrd")
     stored = session / CALIBRATION
     source = calibration or (stored if stored.is_file() else None)
     loaded = Calibration.load(source) if source else None
