@@ -24,7 +24,6 @@ from pypylon import pylon
 from benchmarks import Result
 from benchmarks.peak import peak_of
 from drivers.basler import BaslerCamera
-from drivers.emulators.pylon import EmulatedPylon, PylonPolicy
 from drivers.genicam.buffers import MAX_POOL_BYTES
 from fpplab.core.progress import ignore
 from fpplab.devices import CameraSettings, Frame
@@ -32,6 +31,7 @@ from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.frame_writer import write_frames
 from fpplab.sessions.session import Session
+from tests.support.pulsed_pylon import PulsedPylon
 
 SIZE = (5472, 3648)
 PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=stripes, steps=12) for stripes in (1, 8, 64)))
@@ -58,8 +58,9 @@ def run() -> list[Result]:
 
 
 @contextmanager
-def _camera() -> Iterator[tuple[BaslerCamera, EmulatedPylon]]:
-    bench = EmulatedPylon(SIZE, policy=PylonPolicy(exposure_s=SETTINGS.exposure_s))
+def _camera() -> Iterator[tuple[BaslerCamera, PulsedPylon]]:
+    bench = PulsedPylon(SIZE)
+    bench.exposure_s = SETTINGS.exposure_s
     bench.start()
     try:
         with BaslerCamera("camera", {"serial": SERIAL}, SimpleNamespace(pylon=bench)) as camera:
@@ -106,7 +107,7 @@ def _take_bare(instant: Any) -> None:
     instant.StopGrabbing()
 
 
-def _disk(camera: BaslerCamera, bench: EmulatedPylon, source: float) -> list[Result]:
+def _disk(camera: BaslerCamera, bench: PulsedPylon, source: float) -> list[Result]:
     """Frames per second into a session, with checksums, and the rate at which the disk takes bare bytes."""
     ours, bare = [], []
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
@@ -126,7 +127,7 @@ def _disk(camera: BaslerCamera, bench: EmulatedPylon, source: float) -> list[Res
     ]
 
 
-def _record(camera: BaslerCamera, bench: EmulatedPylon, session: Session) -> None:
+def _record(camera: BaslerCamera, bench: PulsedPylon, session: Session) -> None:
     """As a triggered measurement does it: the pulses do not wait for the disk."""
     camera.arm(FRAMES, "hardware")
     wire = threading.Thread(target=bench.pulse, args=(FRAMES,))
@@ -146,7 +147,7 @@ def _write_bare(folder: Path) -> None:
             os.fsync(stream.fileno())
 
 
-def _memory(camera: BaslerCamera, bench: EmulatedPylon) -> Result:
+def _memory(camera: BaslerCamera, bench: PulsedPylon) -> Result:
     """Peak of what four times as many frames take, on pulses; beside it all buffers allowed and one frame."""
     process = psutil.Process()
     before = process.memory_info().rss

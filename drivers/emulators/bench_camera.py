@@ -10,7 +10,7 @@ import numpy as np
 from pypylon import genicam, pylon
 
 from drivers.emulators.exposure import STRICT, CollectedLight, EmulatedShutter, SensorTiming
-from drivers.emulators.pylon import READY_MS, EmulatedCamera, EmulatedPylon, PylonPolicy
+from drivers.emulators.pylon import READY_MS, EmulatedCamera, EmulatedPylon
 from drivers.genicam.names import (
     LINE_INVERTER,
     TRIGGER_DELAY_US,
@@ -46,8 +46,8 @@ class BenchPylon(EmulatedPylon):
         super().__init__(
             sensor,
             lambda settings: self.read_out(settings, shutter.expose_now(settings)),
-            PylonPolicy(timing=timing),
-            bayer=bayer,
+            timing,
+            bayer,
         )
         self.shutter, self._render = shutter, render
 
@@ -87,7 +87,7 @@ class BenchCamera(EmulatedCamera):
         """Arm the camera as pylon does; earlier pulses and exposures are forgotten."""
         self.pulses, self._frame_coming = 0, False
         self._emulator.shutter.clear(self.instant.MaxNumBuffer.GetValue())
-        super().StartGrabbing(strategy)
+        self.instant.StartGrabbing(strategy)
 
     def ExecuteSoftwareTrigger(self) -> None:
         """Trigger as pylon does, for an exposure that begins now."""
@@ -115,10 +115,12 @@ class BenchCamera(EmulatedCamera):
         edge_s = rise_s if begins_high != bool(self._features.read(LINE_INVERTER)) else fall_s
         return edge_s + float(self._features.read(TRIGGER_DELAY_US) or 0.0) / US_PER_S
 
-    def _result(self, timeout_ms: int, handling: Any) -> Any:
+    def RetrieveResult(self, timeout_ms: int, handling: Any) -> Any:
+        """Retrieve a grab result as pylon does, of an exposure that is made meanwhile."""
         if not self._frame_coming and self.waits_for_pulse():
             self._frame_coming = self._expose(timeout_ms / 1000)
-        result = super()._result(max(timeout_ms, READY_MS) if self._frame_coming else timeout_ms, handling)
+        wait_ms = max(timeout_ms, READY_MS) if self._frame_coming else timeout_ms
+        result = self.instant.RetrieveResult(wait_ms, handling)
         if result.IsValid():
             self._frame_coming = False
         return result

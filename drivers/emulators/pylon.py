@@ -1,23 +1,19 @@
-"""pylon's own camera emulator as the far end of the camera driver: fed with images, triggered, made to fail.
+"""pylon's own camera emulator as the far end of the camera driver: fed with images.
 
 The camera is pylon's (`PYLON_CAMEMU`), in this process, behind the same `InstantCamera` as a real one. Added
-is what a laboratory adds: light that depends on the camera's settings, a trigger signal on Line1, another
-program that has opened the camera, an unplugged cable, and lost frames. Serial numbers are 0815-0000,
-0815-0001, …
+is what a laboratory adds: light that depends on the camera's settings, another program that has opened the
+camera, and an unplugged cable. Serial numbers are 0815-0000, 0815-0001, …
 
 The emulator reads an image file at the end of each exposure. Its folder has two names of one file, which is
-always replaced as a whole. What the emulator cannot do, and its behaviour that no camera documents, is
-`PylonPolicy`.
+always replaced as a whole.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +22,9 @@ import tifffile
 from pypylon import genicam, pylon
 
 from drivers.basler.transport import Pylon
-from drivers.clock import ROUNDING_S
 from drivers.emulators.exposure import STRICT, SensorTiming
 from drivers.genicam.features import Features
-from drivers.genicam.names import EXPOSURE_US, GAIN_DB, PIXEL_FORMAT, TRIGGER_MODE, TRIGGER_SOURCE, US_PER_S
+from drivers.genicam.names import EXPOSURE_US, GAIN_DB, PIXEL_FORMAT, US_PER_S
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 from fpplab.patterns.mosaic import Bayer
@@ -42,36 +37,28 @@ SceneSource = Callable[[CameraSettings], Image]
 """Renders the whole sensor [v, u] under given settings, in raw integers of `settings.bits`."""
 
 
-@dataclass(frozen=True)
-class PylonPolicy:
-    """Behaviour of the emulated camera that is chosen, not documented."""
-
-    exclusive: bool = True  # A camera that is open cannot be opened again, as is reported of real ones
-    pulse_waits: bool = True  # A trigger pulse waits for pylon's emulator
-    timing: SensorTiming = STRICT  # when the camera is ready for a pulse whose time is given
-    exposure_s: float = 100e-6  # time in s that an emulated exposure takes, whatever the camera is set to
-
-
 class EmulatedPylon(Pylon):
     """Stands in for pylon, as `pylon` of a rig's bench: emulated cameras only, from `start` to `close`."""
+
+    exposure_s = 100e-6
+    """Time in s that an emulated exposure takes, whatever the camera is set to (chosen)."""
 
     def __init__(
         self,
         size: tuple[int, int] = (1024, 1040),
         scene: SceneSource | None = None,
-        policy: PylonPolicy = PylonPolicy(),
-        cameras: int = 1,
+        timing: SensorTiming = STRICT,
         bayer: Bayer | None = None,
     ) -> None:
-        self.size, self.scene, self.policy, self._cameras = size, scene, policy, cameras
-        self.bayer = bayer
+        self.size, self.scene, self.timing, self.bayer = size, scene, timing, bayer
+        self.count = 1  # of the cameras
         self._open: dict[str, EmulatedCamera] = {}
         self._is_plugged = True
 
     def start(self) -> None:
         """Switch pylon's emulation on and plug the cameras in."""
         self._before = os.environ.get(CAMERA_COUNT_VARIABLE)
-        os.environ[CAMERA_COUNT_VARIABLE] = str(self._cameras)
+        os.environ[CAMERA_COUNT_VARIABLE] = str(self.count)
         self._folder = tempfile.TemporaryDirectory(prefix="fpplab-pylon-", ignore_cleanup_errors=True)
         self.light = EmulatedSensorImage(Path(self._folder.name))
         self.plug_in()
@@ -90,18 +77,12 @@ class EmulatedPylon(Pylon):
                 "The transport layer for device class 'BaslerCamEmu' could not be created. : "
                 "RuntimeException thrown"
             )
-        if self.policy.exclusive and serial in self._open:
+        if serial in self._open:
             raise genicam.RuntimeException(
                 f"Failed to open device '{serial}' for XML file download. "
                 "Error: 'Device is exclusively opened by another client.' : RuntimeException thrown"
             )
         return self._camera(serial, super().attach(info))
-
-    def pulse(self, times: int = 1, rise_s: float | None = None) -> None:
-        """Send trigger pulses to Line1 of the camera that was opened last; any thread may call it."""
-        for _ in range(times):
-            for camera in list(self._open.values())[-1:]:
-                camera.pulse(rise_s)
 
     def unplug(self, noticed: bool = True) -> None:
         """Unplug the cable; the list of pylon's own emulation keeps the camera."""
@@ -133,7 +114,7 @@ class EmulatedPylon(Pylon):
         instant = camera.instant
         instant.WidthMax.SetValue(self.size[0])
         instant.HeightMax.SetValue(self.size[1])
-        instant.ExposureTimeAbs.SetValue(self.policy.exposure_s * US_PER_S)
+        instant.ExposureTimeAbs.SetValue(self.exposure_s * US_PER_S)
         if self.scene is not None:
             self.light.set_image(np.zeros(self.size[::-1], np.uint8), 8)
             instant.TestImageSelector.SetValue("Off")
@@ -143,9 +124,6 @@ class EmulatedPylon(Pylon):
     def on_closed(self, camera: EmulatedCamera) -> None:
         """Let other programs open a camera; called by the camera when it is closed."""
         self._open.pop(camera.serial, None)
-
-    def has_open(self, camera: EmulatedCamera) -> bool:
-        return self._open.get(camera.serial) is camera
 
     def expose(self, camera: EmulatedCamera) -> None:
         """Put what the scene shows at this moment on the sensor."""
@@ -158,8 +136,7 @@ class EmulatedCamera:
 
     def __init__(self, emulator: EmulatedPylon, serial: str, instant: Any) -> None:
         self.serial, self.instant = serial, instant
-        self.frames_to_lose, self.unplugged = 0, False
-        self._emulator, self._ready_s = emulator, -math.inf
+        self._emulator, self.unplugged = emulator, False
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.instant, name)
@@ -180,16 +157,11 @@ class EmulatedCamera:
 
     def GetNodeMap(self) -> Any:
         """Return pylon's node map, with the resulting frame rate that a camera of this timing has."""
-        rate, timing = self.instant.AcquisitionFrameRateAbs, self._emulator.policy.timing
+        rate, timing = self.instant.AcquisitionFrameRateAbs, self._emulator.timing
         exposure_s = self.instant.GetNodeMap().GetNode(EXPOSURE_US[0]).GetValue() / US_PER_S
         if rate.IsWritable() and rate.GetValue() != timing.reported_rate_hz(exposure_s):
             rate.SetValue(timing.reported_rate_hz(exposure_s))
         return _NodeMap(self.instant.GetNodeMap(), self._emulator.bayer)
-
-    def StartGrabbing(self, strategy: Any) -> None:
-        """Arm the camera as pylon does; it is ready then."""
-        self._ready_s = -math.inf
-        self.instant.StartGrabbing(strategy)
 
     def ExecuteSoftwareTrigger(self) -> None:
         """Trigger as pylon does, in the light of this moment; without effect on an unplugged camera."""
@@ -197,52 +169,9 @@ class EmulatedCamera:
             self._emulator.expose(self)
             self.instant.ExecuteSoftwareTrigger()
 
-    def RetrieveResult(self, timeout_ms: int, handling: Any) -> Any:
-        """Retrieve a grab result as pylon does, except for the frames that are to be lost."""
-        result = self._result(timeout_ms, handling)
-        while self.frames_to_lose and result.IsValid():
-            self.frames_to_lose -= 1
-            result = self._result(timeout_ms, handling)
-        return result
-
-    def _result(self, timeout_ms: int, handling: Any) -> Any:
-        return self.instant.RetrieveResult(timeout_ms, handling)
-
-    def pulse(self, rise_s: float | None = None) -> None:
-        """Take a pulse on Line1: one frame, if the camera waits for it; without effect during closing."""
-        try:
-            if rise_s is None or rise_s >= self._ready_s - ROUNDING_S:
-                self._expose_on_pulse(rise_s)
-        except genicam.GenericException:
-            if self._emulator.has_open(self):
-                raise
-
-    def _expose_on_pulse(self, rise_s: float | None) -> None:
-        armed = self._features.read(TRIGGER_MODE) == "On" and self._features.read(TRIGGER_SOURCE) == "Line1"
-        if self.unplugged or not armed or not self.instant.IsGrabbing():
-            return
-        wait_ms = READY_MS if self._emulator.policy.pulse_waits else 0
-        if self.instant.WaitForFrameTriggerReady(wait_ms, pylon.TimeoutHandling_Return):
-            if rise_s is not None:
-                self._ready_s = rise_s + self._emulator.policy.timing.period_s(self.settings().exposure_s)
-            self._emulator.expose(self)
-            self.instant.TriggerSoftware.Execute()  # which pylon's emulator obeys with any trigger source
-
     def settings(self) -> CameraSettings:
         bits = int(re.sub(r"\D", "", self._features.read(PIXEL_FORMAT)))
         return CameraSettings(self._features.read(EXPOSURE_US) / US_PER_S, self._features.read(GAIN_DB), bits)
-
-    def fail_frames(self, frames: int) -> None:
-        """Let the next frames arrive incomplete."""
-        self.instant.ForceFailedBufferCount.SetValue(frames)
-        self.instant.ForceFailedBuffer.Execute()
-
-    def fail_grabbing(self, message: str) -> None:
-        """Let pylon's grab engine fail."""
-        self.instant.GetStreamGrabberNodeMap().GetNode("ImposedError").SetValue(message)
-
-    def set_exposure_duration(self, exposure_s: float) -> None:
-        self.instant.ExposureTimeAbs.SetValue(exposure_s * US_PER_S)
 
 
 class _Delegate:
@@ -287,12 +216,9 @@ class EmulatedSensorImage:
 
     def set_image(self, image: Image, bits: int) -> None:
         scaled = image if bits == 8 else np.left_shift(image.astype(raw_dtype(16)), 16 - bits)
-        self._replace(lambda path: tifffile.imwrite(path, scaled, photometric="minisblack", metadata=None))
+        self.replace(lambda path: tifffile.imwrite(path, scaled, photometric="minisblack", metadata=None))
 
-    def write_invalid_image(self) -> None:
-        self._replace(lambda path: path.write_bytes(b"no picture"))
-
-    def _replace(self, write: Callable[[Path], object]) -> None:
+    def replace(self, write: Callable[[Path], object]) -> None:
         draft = self._image_folder / "draft"
         write(draft)
         for name in ("a.tif", "b.tif"):  # of a single name the emulator would read the file once

@@ -2,10 +2,10 @@
 
 import threading
 
-from drivers.emulators.pylon import EmulatedPylon
 from fpplab.core.conventions import Image
 from fpplab.devices import CameraSettings
 from tests.conformance.reference import ReferenceBench, ReferenceProjector, sensor_image
+from tests.support.pulsed_pylon import PulsedPylon
 
 
 class PylonBench(ReferenceBench):
@@ -13,7 +13,7 @@ class PylonBench(ReferenceBench):
 
     def open(self) -> None:
         super().open()
-        self.pylon = EmulatedPylon(scene=self._seen)
+        self.pylon = PulsedPylon(scene=self._seen)
         self.pylon.start()
 
     def close(self) -> None:

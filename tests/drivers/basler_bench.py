@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from drivers.basler import BaslerCamera
-from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.core.errors import DisconnectedError
 from fpplab.devices import CameraSettings, Frame, State
+from tests.support.pulsed_pylon import PulsedCamera, PulsedPylon
 
 SERIAL = "0815-0000"
 SIZE = (48, 32)
@@ -31,14 +31,14 @@ class Counter:
         return image
 
 
-def driver(bench: EmulatedPylon, **options: Any) -> BaslerCamera:
+def driver(bench: PulsedPylon, **options: Any) -> BaslerCamera:
     section = {"serial": SERIAL, "roi": [0, 0, *SIZE], **options}
     return BaslerCamera("camera", section, SimpleNamespace(pylon=bench))
 
 
-def end(camera: BaslerCamera) -> EmulatedCamera:
+def end(camera: BaslerCamera) -> PulsedCamera:
     """Return the emulated camera of a driver."""
-    found: EmulatedCamera = camera._camera
+    found: PulsedCamera = camera._camera
     return found
 
 
@@ -52,7 +52,7 @@ def assert_disarmed(camera: BaslerCamera) -> None:
     assert not end(camera).IsGrabbing()
 
 
-def unplug_once(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+def unplug_once(camera: BaslerCamera, bench: PulsedPylon) -> None:
     """Use a closed camera, pull its cable out while it is open, and plug it in again."""
     camera.open()
     camera.configure(SETTINGS)
@@ -64,7 +64,7 @@ def unplug_once(camera: BaslerCamera, bench: EmulatedPylon) -> None:
     bench.plug_in()
 
 
-def assert_mended(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
+def assert_mended(camera: BaslerCamera, bench: PulsedPylon, scene: Counter) -> None:
     """Check that the camera, closed and opened again, takes a current frame."""
     camera.close()
     bench.plug_in()

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.basler import BaslerCamera
-from drivers.emulators.pylon import EmulatedPylon
 from tests.drivers.basler_bench import SETTINGS, Counter, driver
+from tests.support.pulsed_pylon import PulsedPylon
 
 
 @pytest.fixture
@@ -15,15 +15,15 @@ def scene() -> Counter:
 
 
 @pytest.fixture
-def bench(scene: Counter) -> Iterator[EmulatedPylon]:
-    emulation = EmulatedPylon(scene=scene)
+def bench(scene: Counter) -> Iterator[PulsedPylon]:
+    emulation = PulsedPylon(scene=scene)
     emulation.start()
     yield emulation
     emulation.close()
 
 
 @pytest.fixture
-def camera(bench: EmulatedPylon) -> Iterator[BaslerCamera]:
+def camera(bench: PulsedPylon) -> Iterator[BaslerCamera]:
     with driver(bench) as camera:
         camera.configure(SETTINGS)
         yield camera

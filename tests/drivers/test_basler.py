@@ -12,7 +12,6 @@ import pytest
 from pypylon import genicam, pylon
 
 from drivers.basler import BaslerCamera
-from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon, PylonPolicy
 from drivers.genicam import buffers
 from fpplab.core.conventions import raw_dtype
 from fpplab.core.errors import (
@@ -36,25 +35,26 @@ from tests.drivers.basler_bench import (
     end,
     shade,
 )
+from tests.support.pulsed_pylon import PulsedCamera, PulsedPylon
 
 # Opening
 
 
-def test_an_unknown_serial_number_names_those_that_are_there(bench: EmulatedPylon) -> None:
+def test_an_unknown_serial_number_names_those_that_are_there(bench: PulsedPylon) -> None:
     camera = driver(bench, serial="4711")
     with pytest.raises(DisconnectedError, match="serial number 4711 is connected; there is 0815-0000"):
         camera.open()
     assert camera.state is State.CLOSED
 
 
-def test_no_camera_at_all(bench: EmulatedPylon) -> None:
+def test_no_camera_at_all(bench: PulsedPylon) -> None:
     bench.unplug()
     with pytest.raises(DisconnectedError, match="there is none"):
         driver(bench).open()
 
 
 def test_the_serial_number_tells_cameras_apart() -> None:
-    bench = EmulatedPylon(cameras=2)
+    bench = PulsedPylon(cameras=2)
     bench.start()
     try:
         with driver(bench, serial="0815-0001") as second, driver(bench) as first:
@@ -63,7 +63,7 @@ def test_the_serial_number_tells_cameras_apart() -> None:
         bench.close()
 
 
-def test_a_camera_that_another_program_has(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+def test_a_camera_that_another_program_has(camera: BaslerCamera, bench: PulsedPylon) -> None:
     other = driver(bench)
     with pytest.raises(StateError, match="another program has the camera open; close it there"):
         other.open()
@@ -74,15 +74,13 @@ def test_a_camera_that_another_program_has(camera: BaslerCamera, bench: Emulated
         assert other.info()
 
 
-def test_a_camera_that_cannot_be_opened_says_why(
-    bench: EmulatedPylon, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(camera: EmulatedCamera) -> None:
+def test_a_camera_that_cannot_be_opened_says_why(bench: PulsedPylon, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(camera: PulsedCamera) -> None:
         raise genicam.RuntimeException("No bandwidth left : RuntimeException thrown (file 'x.cpp', line 1)")
 
     camera = driver(bench)
     with monkeypatch.context() as patch:
-        patch.setattr(EmulatedCamera, "Open", refuse)
+        patch.setattr(PulsedCamera, "Open", refuse)
         with pytest.raises(DeviceError, match=r"^camera: open: pylon says: No bandwidth left; close"):
             camera.open()
     assert camera.state is State.CLOSED
@@ -102,7 +100,7 @@ def test_what_is_configured_stands_in_the_camera(camera: BaslerCamera) -> None:
 
 
 def test_without_an_roi_it_is_the_whole_sensor() -> None:
-    bench = EmulatedPylon((1280, 1060))
+    bench = PulsedPylon((1280, 1060))
     bench.start()
     try:
         with BaslerCamera("camera", {"serial": SERIAL}, SimpleNamespace(pylon=bench)) as camera:
@@ -116,7 +114,7 @@ def test_without_an_roi_it_is_the_whole_sensor() -> None:
 @pytest.mark.parametrize("bits", [8, 12, 16])
 def test_an_roi_is_that_part_of_the_sensor_bit_by_bit(bits: int) -> None:
     whole = np.random.default_rng(bits).integers(0, 1 << bits, (1040, 1024), raw_dtype(bits))
-    bench = EmulatedPylon(scene=lambda settings: whole)
+    bench = PulsedPylon(scene=lambda settings: whole)
     bench.start()
     try:
         with driver(bench, roi=[37, 21, 50, 30]) as camera:
@@ -136,7 +134,7 @@ def test_an_roi_is_that_part_of_the_sensor_bit_by_bit(bits: int) -> None:
         ([0, 1009, 48, 32], "OffsetY is 1009; the camera takes 0 to 1008"),
     ],
 )
-def test_an_roi_off_the_sensor_is_refused(bench: EmulatedPylon, roi: list[int], complaint: str) -> None:
+def test_an_roi_off_the_sensor_is_refused(bench: PulsedPylon, roi: list[int], complaint: str) -> None:
     camera = driver(bench, roi=roi)
     with pytest.raises(SettingError, match=complaint):
         camera.open()
@@ -155,7 +153,7 @@ def test_no_first_trigger_is_lost(camera: BaslerCamera, scene: Counter) -> None:
 
 def test_no_first_pulse_is_lost(scene: Counter) -> None:
     """On a wire that does not wait: armed means ready."""
-    bench = EmulatedPylon(scene=scene, policy=PylonPolicy(pulse_waits=False))
+    bench = PulsedPylon(scene=scene, pulse_waits=False)
     bench.start()
     try:
         with driver(bench) as camera:
@@ -169,7 +167,7 @@ def test_no_first_pulse_is_lost(scene: Counter) -> None:
 
 
 def test_every_pulse_is_a_frame_and_in_order(
-    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter
+    camera: BaslerCamera, bench: PulsedPylon, scene: Counter
 ) -> None:
     before = scene.exposures
     camera.arm(30, "hardware")
@@ -182,7 +180,7 @@ def test_every_pulse_is_a_frame_and_in_order(
 
 
 def test_frames_left_over_are_not_taken_for_new_ones(
-    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter
+    camera: BaslerCamera, bench: PulsedPylon, scene: Counter
 ) -> None:
     camera.arm(9, "hardware")
     bench.pulse(6)
@@ -195,7 +193,7 @@ def test_frames_left_over_are_not_taken_for_new_ones(
     assert [shade(frame) - before for frame in taken] == [1, 2, 3]
 
 
-def test_pulses_reach_only_a_camera_that_waits_for_them(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+def test_pulses_reach_only_a_camera_that_waits_for_them(camera: BaslerCamera, bench: PulsedPylon) -> None:
     bench.pulse()
     camera.arm(1)
     bench.pulse()
@@ -222,7 +220,7 @@ def test_frames_stay_what_they_were(
     assert [shade(frame) - before for frame in taken] == list(range(1, kept + 1))
 
 
-def addresses(camera: BaslerCamera, bench: EmulatedPylon, n: int, keep: bool) -> list[int]:
+def addresses(camera: BaslerCamera, bench: PulsedPylon, n: int, keep: bool) -> list[int]:
     """Where the pixels of frames lie, one after another."""
     camera.arm(n, "hardware")
     held: list[Frame] = []
@@ -236,19 +234,19 @@ def addresses(camera: BaslerCamera, bench: EmulatedPylon, n: int, keep: bool) ->
 
 
 def test_frames_leave_in_pylons_own_buffers(
-    camera: BaslerCamera, bench: EmulatedPylon, monkeypatch: pytest.MonkeyPatch
+    camera: BaslerCamera, bench: PulsedPylon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     places: list[int] = []
-    really_retrieve = EmulatedCamera.RetrieveResult
+    really_retrieve = PulsedCamera.RetrieveResult
 
-    def noted(camera: EmulatedCamera, timeout_ms: int, handling: Any) -> Any:
+    def noted(camera: PulsedCamera, timeout_ms: int, handling: Any) -> Any:
         result = really_retrieve(camera, timeout_ms, handling)
         if result.IsValid():
             view = np.frombuffer(result.GetImageMemoryView(), np.uint8)
             places.append(view.__array_interface__["data"][0])
         return result
 
-    monkeypatch.setattr(EmulatedCamera, "RetrieveResult", noted)
+    monkeypatch.setattr(PulsedCamera, "RetrieveResult", noted)
     assert addresses(camera, bench, 20, keep=True) == places
     assert len(set(places)) == 20
     places.clear()
@@ -256,7 +254,7 @@ def test_frames_leave_in_pylons_own_buffers(
 
 
 def test_where_buffers_are_few_some_always_go_round(
-    camera: BaslerCamera, bench: EmulatedPylon, monkeypatch: pytest.MonkeyPatch
+    camera: BaslerCamera, bench: PulsedPylon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(buffers, "MAX_POOL_BYTES", 1)
     camera.configure(camera._configured("test"))
@@ -280,7 +278,7 @@ def test_triggers_of_the_hosts_own_need_few_buffers(camera: BaslerCamera) -> Non
 
 
 def test_all_settings_go_into_a_file_and_come_back(
-    camera: BaslerCamera, bench: EmulatedPylon, tmp_path: Path
+    camera: BaslerCamera, bench: PulsedPylon, tmp_path: Path
 ) -> None:
     file = tmp_path / "camera.pfs"
     camera.configure(CameraSettings(0.0123, 6.0, 12))
@@ -315,7 +313,7 @@ def test_a_file_changes_what_the_camera_is(camera: BaslerCamera, tmp_path: Path)
 
 
 def test_a_file_is_loaded_first_and_frames_stay_raw(
-    camera: BaslerCamera, bench: EmulatedPylon, tmp_path: Path
+    camera: BaslerCamera, bench: PulsedPylon, tmp_path: Path
 ) -> None:
     file = tmp_path / "camera.pfs"
     nodes = end(camera).instant
@@ -345,7 +343,7 @@ def test_files_are_refused_while_frames_are_taken(camera: BaslerCamera, tmp_path
     assert [camera.read(1.0).index for _ in range(2)] == [0, 1]
 
 
-def test_a_file_that_is_not_there(camera: BaslerCamera, bench: EmulatedPylon, tmp_path: Path) -> None:
+def test_a_file_that_is_not_there(camera: BaslerCamera, bench: PulsedPylon, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.pfs: there is no such file"):
         camera.load_features(tmp_path / "none.pfs")
     assert camera.snap()
@@ -355,7 +353,7 @@ def test_a_file_that_is_not_there(camera: BaslerCamera, bench: EmulatedPylon, tm
 
 
 def test_a_file_that_does_not_fit(
-    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter, tmp_path: Path
+    camera: BaslerCamera, bench: PulsedPylon, scene: Counter, tmp_path: Path
 ) -> None:
     file = tmp_path / "camera.pfs"
     camera.save_features(file)
@@ -388,7 +386,7 @@ def test_pylon_is_the_default() -> None:
 def test_frames_of_a_bayer_filter_are_the_sensors_own(bits: int) -> None:
     """The emulated colour camera offers Mono8 and RGB8 too, which are made of several pixels."""
     mosaic = np.arange(SIZE[0] * SIZE[1]).reshape(SIZE[::-1]) % (1 << bits)
-    bench = EmulatedPylon(scene=lambda settings: mosaic.astype(raw_dtype(settings.bits)), bayer="GBRG")
+    bench = PulsedPylon(scene=lambda settings: mosaic.astype(raw_dtype(settings.bits)), bayer="GBRG")
     bench.start()
     with driver(bench) as camera:
         assert camera.caps.bayer == "GBRG"

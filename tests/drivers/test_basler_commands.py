@@ -10,28 +10,28 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from drivers.basler.transport import Pylon
-from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon
 from fpplab.cli.every import app
 from fpplab.core.errors import ConfigError, DataError, DeviceError, DisconnectedError, FppError, StateError
 from tests.drivers.basler_bench import SERIAL, SETTINGS, driver
+from tests.support.pulsed_pylon import PulsedCamera, PulsedPylon
 
 LEFT: dict[str, Any] = {"Width": 640, "OffsetX": 32, "Gamma": 2.0, "ExposureTime": 12300.0}
 """What another program has set."""
 
 
-class Used(EmulatedPylon):
+class Used(PulsedPylon):
     """A camera that keeps its settings when it is closed: as `LEFT`, or as a command leaves it."""
 
     def __init__(self, cameras: int = 1) -> None:
         super().__init__(cameras=cameras)
         self.settings = dict(LEFT)
 
-    def on_opened(self, camera: EmulatedCamera) -> None:
+    def on_opened(self, camera: PulsedCamera) -> None:
         super().on_opened(camera)
         for name, value in self.settings.items():
             getattr(camera.instant, name).SetValue(value)
 
-    def on_closed(self, camera: EmulatedCamera) -> None:
+    def on_closed(self, camera: PulsedCamera) -> None:
         if camera.instant.IsOpen():
             self.settings = {name: getattr(camera.instant, name).GetValue() for name in LEFT}
         super().on_closed(camera)

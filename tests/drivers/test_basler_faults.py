@@ -11,7 +11,6 @@ import pytest
 from pypylon import genicam
 
 from drivers.basler import BaslerCamera
-from drivers.emulators.pylon import EmulatedPylon
 from fpplab.core.errors import (
     DeviceError,
     DeviceTimeoutError,
@@ -30,12 +29,13 @@ from tests.drivers.basler_bench import (
     end,
     unplug_once,
 )
+from tests.support.pulsed_pylon import PulsedPylon
 
 # Time-outs
 
 
 def test_a_frame_that_comes_too_late_is_taken_by_nobody(
-    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter
+    camera: BaslerCamera, bench: PulsedPylon, scene: Counter
 ) -> None:
     end(camera).set_exposure_duration(0.3)
     camera.arm(2)
@@ -66,7 +66,7 @@ def test_a_camera_that_does_not_become_ready(camera: BaslerCamera) -> None:
 # Faults
 
 
-def test_a_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
+def test_a_frame_lost_on_the_way(camera: BaslerCamera, bench: PulsedPylon, scene: Counter) -> None:
     camera.arm(4, "hardware")
     bench.pulse(3)
     assert camera.read(1.0).index == 0
@@ -77,7 +77,7 @@ def test_a_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPylon, sce
     assert_mended(camera, bench, scene)
 
 
-def test_the_first_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+def test_the_first_frame_lost_on_the_way(camera: BaslerCamera, bench: PulsedPylon) -> None:
     camera.arm(4, "hardware")
     end(camera).frames_to_lose = 1
     bench.pulse(2)
@@ -86,7 +86,7 @@ def test_the_first_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPy
     assert_disarmed(camera)
 
 
-def test_the_last_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+def test_the_last_frame_lost_on_the_way(camera: BaslerCamera, bench: PulsedPylon) -> None:
     camera.arm(2, "hardware")
     bench.pulse(2)
     camera.read(1.0)
@@ -96,7 +96,7 @@ def test_the_last_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPyl
     assert_disarmed(camera)
 
 
-def test_an_incomplete_frame(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
+def test_an_incomplete_frame(camera: BaslerCamera, bench: PulsedPylon, scene: Counter) -> None:
     camera.arm(3)
     camera.read(1.0)
     end(camera).fail_frames(1)
@@ -107,17 +107,17 @@ def test_an_incomplete_frame(camera: BaslerCamera, bench: EmulatedPylon, scene: 
 
 
 def test_a_frame_that_is_no_picture(
-    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter, monkeypatch: pytest.MonkeyPatch
+    camera: BaslerCamera, bench: PulsedPylon, scene: Counter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(bench, "expose", lambda camera: bench.light.write_invalid_image())
+        patch.setattr(bench, "expose", lambda camera: bench.show_no_picture())
         with pytest.raises(FrameLossError, match=r"frame 0 is damaged: .*\(0x7\)"):
             camera.snap(1.0)
     assert_disarmed(camera)
     assert_mended(camera, bench, scene)
 
 
-def test_a_picture_of_another_size(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
+def test_a_picture_of_another_size(camera: BaslerCamera, bench: PulsedPylon, scene: Counter) -> None:
     bench.scene = lambda settings: np.zeros((16, 24), np.uint8)
     with pytest.raises(FrameLossError, match="frame 0 is"):
         camera.snap(1.0)
@@ -126,7 +126,7 @@ def test_a_picture_of_another_size(camera: BaslerCamera, bench: EmulatedPylon, s
     assert_mended(camera, bench, scene)
 
 
-def test_pylons_engine_breaks_down(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
+def test_pylons_engine_breaks_down(camera: BaslerCamera, bench: PulsedPylon, scene: Counter) -> None:
     camera.arm(3)
     camera.read(1.0)
     end(camera).fail_grabbing("out of transfer memory")
@@ -156,7 +156,7 @@ USES: dict[str, Callable[[BaslerCamera], object]] = {
 @pytest.mark.whole
 @pytest.mark.parametrize("use", USES.values(), ids=USES)
 def test_unplugged_between_two_uses(
-    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter, use: Callable[[BaslerCamera], object]
+    camera: BaslerCamera, bench: PulsedPylon, scene: Counter, use: Callable[[BaslerCamera], object]
 ) -> None:
     camera.snap()
     bench.unplug()
@@ -169,7 +169,7 @@ def test_unplugged_between_two_uses(
 @pytest.mark.whole
 @pytest.mark.parametrize("trigger", ["software", "hardware"])
 def test_unplugged_between_two_frames(
-    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter, trigger: Any
+    camera: BaslerCamera, bench: PulsedPylon, scene: Counter, trigger: Any
 ) -> None:
     camera.arm(5, trigger)
     if trigger == "hardware":
@@ -182,7 +182,7 @@ def test_unplugged_between_two_frames(
     assert_mended(camera, bench, scene)
 
 
-def test_unplugged_while_a_frame_is_waited_for(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+def test_unplugged_while_a_frame_is_waited_for(camera: BaslerCamera, bench: PulsedPylon) -> None:
     """pylon lets the wait run into its time-out: the driver must not."""
     camera.arm(1, "hardware")
     hand = threading.Timer(SOON_S, bench.unplug)
@@ -194,7 +194,7 @@ def test_unplugged_while_a_frame_is_waited_for(camera: BaslerCamera, bench: Emul
 
 
 def test_unplugged_and_pylon_gives_no_notice(
-    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter
+    camera: BaslerCamera, bench: PulsedPylon, scene: Counter
 ) -> None:
     camera.arm(1, "hardware")
     bench.unplug(noticed=False)
@@ -204,7 +204,7 @@ def test_unplugged_and_pylon_gives_no_notice(
     assert_mended(camera, bench, scene)
 
 
-def test_unplugged_it_can_be_closed_and_does_not_open(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+def test_unplugged_it_can_be_closed_and_does_not_open(camera: BaslerCamera, bench: PulsedPylon) -> None:
     camera.arm(5)
     bench.unplug()
     camera.close()
@@ -214,7 +214,7 @@ def test_unplugged_it_can_be_closed_and_does_not_open(camera: BaslerCamera, benc
 
 
 @pytest.mark.whole
-def test_unplugged_again_and_again_it_leaves_nothing(bench: EmulatedPylon) -> None:
+def test_unplugged_again_and_again_it_leaves_nothing(bench: PulsedPylon) -> None:
     camera, held = driver(bench), []
     for _ in range(3):
         unplug_once(camera, bench)
@@ -223,7 +223,7 @@ def test_unplugged_again_and_again_it_leaves_nothing(bench: EmulatedPylon) -> No
     assert held[0] == held[1] == held[2]
 
 
-def test_unplugged_after_it_was_listed(bench: EmulatedPylon) -> None:
+def test_unplugged_after_it_was_listed(bench: PulsedPylon) -> None:
     (found,) = bench.cameras().values()
     bench.unplug()
     with pytest.raises(genicam.GenericException):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from drivers.emulators.pylon import EmulatedPylon
 from fpplab.acquisition.acquire import acquire
 from fpplab.core.errors import DeviceError, DisconnectedError
 from fpplab.phase import decode
@@ -18,6 +17,7 @@ from tests.drivers.emulated_rig import PLAN, burn, rig_file
 from tests.drivers.grbl_stage import Bench
 from tests.drivers.projector_bench import Bench as ProjectorBench
 from tests.drivers.projector_bench import greys
+from tests.support.pulsed_pylon import PulsedPylon
 
 SEEN_S = 0.02
 """After so long an unplugged serial line is seen to be gone."""
@@ -39,7 +39,7 @@ def scans(folder: Path, count: int) -> Iterator[None]:
 
 def plug_cycles(folder: Path, count: int) -> Iterator[None]:
     """Projector, stage and camera used, pulled out while open, and found again, so many times."""
-    bench = EmulatedPylon(scene=Counter())
+    bench = PulsedPylon(scene=Counter())
     bench.start()
     camera = driver(bench)
     try:
