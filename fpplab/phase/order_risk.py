@@ -1,11 +1,13 @@
 """The probability, by noise alone, that the fringe order of a pixel is wrong."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 
 import numpy as np
 from scipy.special import erfc
 
 from fpplab.core.conventions import Axis, Floats, Map
+from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
 from fpplab.phase.alternatives import alternatives_of
 from fpplab.phase.coded_axes import axes_by_codes, axes_with_orders, coded_coordinate
@@ -40,6 +42,21 @@ def order_risk(
         of_axis = wrong_order_chance(fringes, axis, noise, (interval_shares or {}).get(axis))
         risk = np.maximum(risk, of_axis.astype(np.float32))
     return risk
+
+
+def axis_precision(
+    plan: Plan, axis: Axis, size: tuple[int, int], noise: float, interval_share: float | None = None
+) -> tuple[float, float | None]:
+    """Uncertainty in px of a coordinate by noise, and the chance of a wrong order, where noise decides it."""
+    # size (width, height) px; noise of a grey level, as a share of the modulation
+    if axis in axes_by_codes(plan, size):
+        return coded_coordinate(plan, axis, size, noise)
+    fringes, chance = plan.fringe_part, None
+    assert fringes is not None, "an axis is coded by fringes or by codes"
+    if axis in plan.unwrapped_axes and axis not in axes_with_orders(plan, size):
+        with suppress(ConfigError):  # orders that need a calibration, or another recording
+            chance = float(wrong_order_chance(fringes, axis, np.asarray(noise), interval_share))
+    return noise * coordinate_spread(fringes, axis, size), chance
 
 
 def wrong_order_chance(plan: Plan, axis: Axis, noise: Floats, interval_share: float | None = None) -> Floats:

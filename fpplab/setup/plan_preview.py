@@ -1,7 +1,6 @@
 """What a measurement by a plan consists of on a rig, as its devices answer before anything is shown."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,15 +11,12 @@ from fpplab.acquisition.timing import planned_timing
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import AXES, Axis
 from fpplab.core.depth import DepthRange, first_stated
-from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.phase import check_codes
 from fpplab.phase.bounds import widest_interval_share
-from fpplab.phase.coded_axes import axes_by_codes, axes_with_orders, coded_coordinate
-from fpplab.phase.order_risk import wrong_order_chance
-from fpplab.phase.precision import coordinate_spread
+from fpplab.phase.order_risk import axis_precision
 from fpplab.reconstruction.depth_range import decoding_bounds
 from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
 
@@ -47,18 +43,11 @@ def plan_precision(
     bounds = decoding_bounds(plan, calibration, depth) if calibration else None
     sigma: dict[Axis, float] = {}
     chances: dict[Axis, float] = {}
-    by_codes, with_orders = axes_by_codes(plan, size), axes_with_orders(plan, size)
     for axis in plan.axes:
-        if axis in by_codes:
-            sigma[axis], chances[axis] = coded_coordinate(plan, axis, size, noise)
-            continue
-        fringes = plan.fringe_part
-        assert fringes is not None  # without codes
-        sigma[axis] = noise * coordinate_spread(fringes, axis, size)
-        if axis in plan.unwrapped_axes and axis not in with_orders:
-            with suppress(ConfigError):  # orders that need a calibration, or another recording
-                share = widest_interval_share(bounds, axis, size)
-                chances[axis] = float(wrong_order_chance(fringes, axis, np.asarray(noise), share))
+        share = widest_interval_share(bounds, axis, size)
+        sigma[axis], chance = axis_precision(plan, axis, size, noise, share)
+        if chance is not None:
+            chances[axis] = chance
     if calibration is None:
         return PlanPrecision(noise, sigma, chances)
     geometry = RigGeometry(calibration)

@@ -1,7 +1,6 @@
 """NSGA-II (optuna) over all parameters together, which begins near optima of single ones or of a bound."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
@@ -9,14 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from fpplab.core.errors import ConfigError
 from fpplab.optimisation.candidate import Candidate, MeasuredCandidate, Point
 from fpplab.optimisation.candidate_runner import CandidateRunner
 from fpplab.optimisation.methods.coordinate import Coordinate, coordinate_search
 from fpplab.optimisation.search_method import SearchMethod
-from fpplab.phase.coded_axes import axes_by_codes, coded_coordinate
-from fpplab.phase.order_risk import wrong_order_chance
-from fpplab.phase.precision import coordinate_spread
+from fpplab.phase.order_risk import axis_precision
 
 SINGLE_SEARCH = Coordinate(first=0.25, finest=0.02)  # of the single-parameter searches at the beginning
 REFINEMENT = Coordinate(first=0.08, finest=0.02)
@@ -201,15 +197,8 @@ def _noise_bound(runner: CandidateRunner, candidate: Candidate) -> float:
     axis = candidate.fringes[0].coded_axis or plan.axes[0]
     photons = BOUND.noise**2 * problem.start.exposure_s / candidate.exposure_s
     noise = float(np.sqrt(photons + (2.0 / (2**candidate.pattern_bits - 1)) ** 2 / 12.0))
-    if axis in axes_by_codes(plan, size):
-        spread, chance = coded_coordinate(plan, axis, size, noise)
-        return spread if chance <= BOUND.wrong_order_chance else np.inf
-    fringes = plan.fringe_part
-    assert fringes is not None, "an axis is coded by fringes or by codes"
-    with suppress(ConfigError):  # orders that a calibration tells, or a code
-        if plan is fringes and wrong_order_chance(plan, axis, np.array(noise)) > BOUND.wrong_order_chance:
-            return np.inf
-    return noise * coordinate_spread(fringes, axis, size)
+    spread, chance = axis_precision(plan, axis, size, noise)
+    return spread if chance is None or chance <= BOUND.wrong_order_chance else np.inf
 
 
 def _differs_only_in(

@@ -61,11 +61,11 @@ class RigGeometry:
         return float(distance_mm)
 
     def overlap(self, distance_mm: float) -> float:
-        return float(self._pixels_lit_at(distance_mm).mean())
+        return float(self.rays_lit_at(distance_mm).mean())
 
     def outline(self, distance_mm: float) -> Floats:
         # returns (K, 3) mm
-        points = (self.rays * distance_mm)[self._pixels_lit_at(distance_mm)]
+        points = (self.rays * distance_mm)[self.rays_lit_at(distance_mm)]
         if len(points) < 3:
             return np.empty((0, 3))
         hull = cv2.convexHull(points[:, :2].astype(np.float32))[:, 0].astype(np.float64)
@@ -84,7 +84,7 @@ class RigGeometry:
             return self.meeting_mm, self.meeting_mm
         return float(overlapping[0]), float(overlapping[-1])
 
-    def _pixels_lit_at(self, distance_mm: float) -> Mask:
+    def rays_lit_at(self, distance_mm: float) -> Mask:
         has_ray = np.isfinite(self.rays).all(axis=-1)
         points = np.where(has_ray[..., None], self.rays, 1.0) * distance_mm
         return np.asarray(
@@ -103,11 +103,8 @@ class WorkingPoint:
     @cached_property
     def _points_in_both_views(self) -> Floats:
         """(N, 3) points in mm that both devices see."""
-        points = self.geometry.rays * self.distance_mm
-        lit = self.geometry.calibration.projector.sees(
-            np.nan_to_num(points, nan=-1.0), self.geometry.calibration.T_projector_camera
-        )
-        return np.asarray(points[lit])
+        lit = self.geometry.rays_lit_at(self.distance_mm)
+        return np.asarray(self.geometry.rays[lit] * self.distance_mm)
 
     @cached_property
     def angle_deg(self) -> float | None:
@@ -123,7 +120,7 @@ class WorkingPoint:
         """(`REGIONS`, 2) change of the projector's u and v for 1 mm along the ray; NaN where unseen."""
         calibration = self.geometry.calibration
         points = self.geometry.rays * self.distance_mm
-        lit = calibration.projector.sees(np.nan_to_num(points, nan=-1.0), calibration.T_projector_camera)
+        lit = self.geometry.rays_lit_at(self.distance_mm)
         unit = self.geometry.rays / np.linalg.norm(self.geometry.rays, axis=-1, keepdims=True)
         near, far = (
             calibration.projector.project(points + s * unit, calibration.T_projector_camera)
