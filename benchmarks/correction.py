@@ -21,6 +21,7 @@ from fpplab.characterisation import Observation, judge
 from fpplab.characterisation.correction import correct
 from fpplab.characterisation.working_volume import WorkingVolume, without_motion
 from fpplab.cli import console
+from fpplab.core.errors import CalibrationError
 
 SEEDS, CHANGES = range(9700, 9760), 5
 SIZES = (0.3, 5.0)
@@ -29,7 +30,7 @@ FRESH = 8
 """Poses by which corrected calibrations and new ones are judged."""
 ALLOWED = {1: 1.5, 2: 1.3, 3: 1.2}
 """Errors in fresh poses, over those of a new characterisation, by poses of the correction."""
-COVERED = (0.93, 0.97)
+COVERED, MOST_REFUSED = (0.93, 0.97), 0.02
 QUANTITIES = ("camera.fx", "camera.fy", "projector.fx", "projector.fy")
 
 
@@ -38,7 +39,7 @@ class JudgedCorrection:
     """One correction."""
 
     poses: int
-    inside: tuple[bool, ...]  # which intervals of 95 % contain the truth
+    inside: tuple[bool, ...]  # which intervals of 95 % contain the truth; none of one that was refused
     error_px: float  # in fresh poses; NaN where these were not taken
     anew_px: float  # the same of a new characterisation
 
@@ -76,7 +77,13 @@ def judged_corrections(seed: int) -> Iterator[JudgedCorrection]:
             anew_px = left_out_px(characterised(now, 100 * seed), fresh)
         for poses in ALLOWED:
             taken = unguided(now, 1000 * seed + 10 * change + poses, poses)
-            corrected = correct(calibration, taken).calibration
+            try:
+                corrected = correct(calibration, taken).calibration
+            except CalibrationError as error:
+                # What poses contradict is no correction: who asked is told to characterise again.
+                console.log_status(f"{seed}: {kind} by {size:+.1f}, {poses} poses: refused: {error}")
+                yield JudgedCorrection(poses, (), np.nan, np.nan)
+                continue
             error_px = left_out_px(corrected, fresh) if fresh else np.nan
             yield JudgedCorrection(poses, covered_quantities(corrected, now.truth), error_px, anew_px)
 
@@ -99,11 +106,13 @@ def run() -> list[Result]:
 
 def figures_of_corrections(judged: Sequence[JudgedCorrection], poses: int) -> list[Result]:
     """Count intervals, and compare errors with those of a new characterisation."""
-    some = [one for one in judged if one.poses == poses]
+    every = [one for one in judged if one.poses == poses]
+    some = [one for one in every if one.inside]
     covered = float(np.mean([one.inside for one in some]))
     ratios = [one.error_px / one.anew_px for one in some if np.isfinite(one.anew_px)]
     return [
         below(f"left_out_{poses}_over_anew", float(np.sqrt(np.mean(np.square(ratios)))), "", ALLOWED[poses]),
         above(f"covered_{poses}", covered, "share", COVERED[0]),
         below(f"covered_{poses}_at_most", covered, "share", COVERED[1]),
+        below(f"refused_{poses}", 1.0 - len(some) / len(every), "share", MOST_REFUSED),
     ]
