@@ -78,6 +78,7 @@ class PredictSetup:
     board_plan: str = "plan_board.yaml"  # plan files for the board and for the part that the twin is given
     part_plan: str = "plan_nine_images.yaml"
     other_plan: str = "plan_paper.yaml"  # plan file of the first question
+    scans: int = 3  # of each question; the first judges, the others show how well the bench repeats it
     limits: MatchingLimits = field(default_factory=lambda: MatchingLimits(seconds=3600.0))  # of each matching
 
     @property
@@ -103,16 +104,22 @@ class ComparedFigure:
     low: float
     high: float
     measured: float
+    again: tuple[float, ...] = ()  # by the same bench in further scans, with nothing changed
 
     @classmethod
-    def of(cls, predicted: FigureInterval, measured: float) -> Self:
-        """Put a prediction beside the measurement."""
-        return cls(predicted.value, predicted.low, predicted.high, measured)
+    def of(cls, predicted: FigureInterval, measured: Sequence[float]) -> Self:
+        """Put a prediction beside the measurement, the first of several."""
+        return cls(predicted.value, predicted.low, predicted.high, measured[0], tuple(measured[1:]))
 
     @property
     def off(self) -> float:
         """Relative error of the prediction."""
         return abs(self.value / self.measured - 1.0)
+
+    @property
+    def repeated_off(self) -> float | None:
+        """Relative difference of the measurement from the mean of its repetitions."""
+        return abs(float(np.mean(self.again)) / self.measured - 1.0) if self.again else None
 
     @property
     def is_covered(self) -> bool:
@@ -175,9 +182,11 @@ def judged(seed: int, folder: Path, trial: PredictSetup = FULL, kind: str | None
         known = found.reference.characterisation.calibration
         answers = {}
         for one in trial.questions:
-            measured, figures_of = _measured(bench, one, folder, known), predicted[one.name].figures
+            figures_of = predicted[one.name].figures
+            measured = [_measured(bench, one, folder / f"measured_{k}", known) for k in range(trial.scans)]
             answers[one.name] = {
-                figure: ComparedFigure.of(figures_of[figure], getattr(measured, figure)) for figure in FIGURES
+                figure: ComparedFigure.of(figures_of[figure], [getattr(scan, figure) for scan in measured])
+                for figure in FIGURES
             }
     parameters = found.matched.parameters
     apart = [a.translation - b.translation for a, b in zip(parameters.poses, truth.poses, strict=True)]
@@ -244,7 +253,7 @@ def predictions(rig: Path, questions: Sequence[Question]) -> dict[str, Predictio
 
 
 def _measured(bench: HiddenBench, one: Question, folder: Path, known: Calibration) -> MeasuredFigures:
-    session = bench.record(one.loaded(), folder / "measured" / one.name, one.item)
+    session = bench.record(one.loaded(), folder / one.name, one.item)
     assert isinstance(bench.rig.simulation, Predictable)
     return measured_figures(session, known, bench.rig.simulation.image_part_sampler().mesh(one.item))
 
@@ -317,6 +326,10 @@ def figures(benches: Sequence[JudgedBench], prefix: str) -> list[Result]:
         off = [answer[figure].off for one in kept for answer in one.answers.values()]
         near = float(np.mean(np.array(off) <= NEAR))
         results.append(above(f"{prefix}_{figure}_within_10_percent", near, "share", LEAST_NEAR))
+        repeated = [answer[figure].repeated_off for one in kept for answer in one.answers.values()]
+        if known := [each for each in repeated if each is not None]:
+            share = float(np.mean(np.array(known) <= NEAR))
+            results.append(above(f"{prefix}_{figure}_repeated_within_10_percent", share, "share", near))
     for question in kept[0].answers:
         off = [each.off for one in kept for each in one.answers[question].values()]
         results.append(below(f"{prefix}_{question}_off", float(np.median(off)), "relative", NEAR))

@@ -74,7 +74,7 @@ def test_what_images_do_not_tell_is_not_judged() -> None:
 def answers(value: float, distance: float) -> dict[str, ComparedFigure]:
     return {
         "distance_um": ComparedFigure(value, 0.9 * value, 1.1 * value, distance),
-        "noise_um": ComparedFigure(1.0, 0.5, 2.0, 1.3),
+        "noise_um": ComparedFigure(1.0, 0.5, 2.0, 1.3, again=(1.3, 1.3 * value / distance)),
     }
 
 
@@ -98,6 +98,7 @@ def test_shares_of_predictions_are_counted() -> None:
             "predict_parameters_within_3_sigma": 0.5,
             "predict_distance_um_within_10_percent": 0.5,
             "predict_noise_um_within_10_percent": 0.0,
+            "predict_noise_um_repeated_within_10_percent": 0.5,
             "predict_plan_off": (1 - 10 / 10.5 + 1 - 1 / 1.3) / 2,
             "predict_pose_off": (1 - 10 / 14 + 1 - 1 / 1.3) / 2,
             "predict_intervals_cover": 0.75,
