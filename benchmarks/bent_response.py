@@ -43,7 +43,7 @@ def run() -> list[Result]:
         with Rig.load(write_rig(world, Path(folder), "Bench with a bent response")) as rig:
             rig.need_fixture("the benchmark").mount(CARD, 0)
             measured = measure_response(rig, 0.02)[0]
-        return response_figures(measured, world.projector.response.curve())
+        return response_figures(measured, world.projector.response)
 
 
 def response_figures(measured: Response, true: Curve) -> list[Result]:

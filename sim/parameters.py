@@ -257,8 +257,8 @@ def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
         calibration=calibration,
         poses=item_poses(world, board),
         white=1.0,
-        response=response.curve().model_copy(
-            update={"a": response.a / brightest, "b": response.b / brightest}
+        response=Curve(
+            a=response.a / brightest, b=response.b / brightest, g=response.g, spline=response.spline
         ),
         paper=target.background,
         ink=target.foreground,

@@ -67,7 +67,7 @@ class Mirrors:
         if self._loaded is None or self._loaded[0] is not patterns:
             response = self._projector.response
             depth = min(p.bit_depth for p in patterns)
-            steepest = 255.0 * float(np.diff(response.curve().shape(np.arange(256) / 255)).max())
+            steepest = 255.0 * float(np.diff(response.shape(np.arange(256) / 255)).max())
             rounding = response.a * max(steepest, 1.0) / (np.sqrt(12) * full_scale(depth))
             self._loaded = (
                 patterns,
@@ -110,7 +110,7 @@ class Mirrors:
         self._loaded = self._planes = self._basis = None
 
     def _even(self, pattern: Pattern) -> PatternLevels:
-        table = self._projector.response.curve().apply(np.linspace(0, 1, 256))
+        table = self._projector.response.apply(np.linspace(0, 1, 256))
         return table.astype(np.float32)[pattern.image]
 
     def _with_effects(self, light: PatternLevels) -> PatternLevels:

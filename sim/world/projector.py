@@ -17,25 +17,15 @@ from sim.texture import MirrorTexture
 from sim.world.numbers import NotNegative, PixelSize, Share
 
 
-class ResponseSection(Document):
-    """The projector's response, light from grey levels, both 0 to 1: `I_out = a S(I_in) + b`.
-
-    S is `I_in^g` or a spline.
-    """
+class ResponseSection(Curve):
+    """The projector's response, light from grey levels, both 0 to 1: `I_out = a S(I_in) + b`."""
 
     a: Annotated[float, Field(gt=0, le=1)] = 1.0
     """Light of white above black."""
     b: Share = 0.0
     """Black level, the light that leaks from closed mirrors: `b = (a + b) / C` for contrast C."""
     g: Annotated[float, Field(ge=0.2, le=5)] = 1.0
-    """Exponent (gamma)."""
-    spline: tuple[float, ...] | None = None
-    """Coefficients of a monotone cubic spline in place of `I_in^g`, as in a response file."""
-
-    @model_validator(mode="after")
-    def _spline_is_valid(self) -> ResponseSection:
-        self.curve()
-        return self
+    """Exponent (gamma): S is `I_in^g`, where there is no spline."""
 
     @model_validator(mode="after")
     def _white_is_one_at_most(self) -> ResponseSection:
@@ -44,9 +34,6 @@ class ResponseSection(Document):
                 f"'a' + 'b' is {self.a + self.b:g}: at most 1, which is the brightest the lamp gives"
             )
         return self
-
-    def curve(self) -> Curve:
-        return Curve(a=self.a, b=self.b, g=self.g, spline=self.spline)
 
 
 class LedWorld(Document):

@@ -30,7 +30,7 @@ SHOWN = np.linspace(0.0, 1.0, 256)
 
 
 def test_response_has_the_form_of_an_s() -> None:
-    curve = s_shaped(drawn_world(3, 1, 8)).projector.response.curve()
+    curve = s_shaped(drawn_world(3, 1, 8)).projector.response
     np.testing.assert_allclose(curve.shape(SHOWN), SHOWN - S_SHAPE * np.sin(2 * np.pi * SHOWN), atol=2e-3)
 
 
@@ -67,7 +67,7 @@ def test_an_effect_is_named_by_its_words() -> None:
 
 
 def test_a_bent_response_is_stated_and_corrected() -> None:
-    true = s_shaped(drawn_world(3, 1, 8)).projector.response.curve()
+    true = s_shaped(drawn_world(3, 1, 8)).projector.response
     measured = Response(
         a=true.a, b=true.b, g=true.g, spline=true.spline, sigma=(0.001, 0.001, 0.001), residual=0.0, levels=16
     )
