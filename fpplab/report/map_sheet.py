@@ -187,11 +187,11 @@ class _Text:
         self._draw = ImageDraw.Draw(self._layer)
 
     def write(self, place: tuple[int, int], text: str, anchor: str, height: int = LARGE) -> None:
-        self._draw.text(place, text, fill=255, font=_font(height), anchor=anchor)
+        self._draw.text(place, text, fill=255, font=label_font(height), anchor=anchor)
 
     def write_upwards(self, place: tuple[int, int], text: str) -> None:
-        strip = Pixels.new("L", (int(_font(LARGE).getlength(text)) + 2, LINE), 0)
-        ImageDraw.Draw(strip).text((0, LINE // 2), text, fill=255, font=_font(LARGE), anchor="lm")
+        strip = Pixels.new("L", (int(label_font(LARGE).getlength(text)) + 2, LINE), 0)
+        ImageDraw.Draw(strip).text((0, LINE // 2), text, fill=255, font=label_font(LARGE), anchor="lm")
         turned = strip.rotate(90, expand=True)
         self._layer.paste(turned, (place[0], max(0, place[1] - turned.height // 2)))
 
@@ -205,7 +205,7 @@ class _Text:
 
 
 @cache
-def _font(height: int) -> ImageFont.FreeTypeFont:
+def label_font(height: int) -> ImageFont.FreeTypeFont:
     """The figures' font, which comes with matplotlib: to import that takes longer than to draw the maps."""
     package = find_spec("matplotlib")
     folder = Path(str(package.origin)).parent if package else Path()

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pixels
-from PIL import ImageDraw, ImageFont
+from PIL import ImageDraw
 
 from fpplab.core.conventions import Floats
+from fpplab.report.map_sheet import colour_table, label_font
 
 UNMEASURED = (185, 188, 192)  # RGB of what was not measured
 BAR_SIZE = (560, 92)  # width and height of a colour bar in px
@@ -39,7 +40,9 @@ class ColourScale:
     def colours_of(self, values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
         level: Floats = np.clip((values - self.low) / max(self.high - self.low, 1e-12), 0.0, 1.0)
         finite = np.isfinite(level)
-        rgb: NDArray[np.uint8] = self._table()[np.rint(np.where(finite, level, 0.0) * 255).astype(np.intp)]
+        rgb: NDArray[np.uint8] = colour_table(self.colours)[
+            np.rint(np.where(finite, level, 0.0) * 255).astype(np.intp)
+        ]
         rgb[~finite] = UNMEASURED
         return rgb
 
@@ -57,9 +60,9 @@ class ColourScale:
         width, height = BAR_SIZE
         sheet = Pixels.new("RGB", BAR_SIZE, _PAPER)
         across = width - 2 * _MARGIN
-        ramp = self._table()[np.linspace(0, 255, across).astype(np.intp)]
+        ramp = colour_table(self.colours)[np.linspace(0, 255, across).astype(np.intp)]
         sheet.paste(Pixels.fromarray(np.repeat(ramp[None], _HEIGHT, axis=0)), (_MARGIN, 2))
-        draw, font = ImageDraw.Draw(sheet), _font()
+        draw, font = ImageDraw.Draw(sheet), label_font(19)
         for share in (0.0, 0.25, 0.5, 0.75, 1.0):
             x = _MARGIN + share * (across - 1)
             draw.line([(x, _HEIGHT), (x, _HEIGHT + 7)], fill=_INK, width=2)
@@ -75,16 +78,3 @@ class ColourScale:
             return f"{value:.2g}"
         places = int(np.clip(2 - np.floor(np.log10(max(span, 1e-12))), 0, 5))
         return f"{value:.{places}f}"
-
-    def _table(self) -> NDArray[np.uint8]:
-        import matplotlib as mpl
-
-        table = np.asarray(mpl.colormaps[self.colours](np.linspace(0, 1, 256)))[:, :3]
-        return np.asarray(table * 255, np.uint8)
-
-
-def _font() -> ImageFont.FreeTypeFont:
-    """Matplotlib's own font, which has every letter of a unit."""
-    import matplotlib as mpl
-
-    return ImageFont.truetype(f"{mpl.get_data_path()}/fonts/ttf/DejaVuSans.ttf", 19)
