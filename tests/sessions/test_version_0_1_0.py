@@ -19,8 +19,9 @@ from fpplab.sessions.replay import RecordedSession, ReplayCamera, ReplayProjecto
 DATA = Path(__file__).parents[1] / "data" / "version_0_1_0"
 
 
-def test_a_plan_with_every_key() -> None:
+def test_a_plan_with_every_key(caplog: pytest.LogCaptureFixture) -> None:
     plan = Plan.load(DATA / "plan.yaml")
+    assert "'order_vote' has no effect any more" in caplog.text
     written = config.parse_yaml((DATA / "plan.yaml").read_text(encoding="utf-8"), "plan")
     again = config.plain(plan)
     for index, fringes in enumerate(written.pop("fringes")):
