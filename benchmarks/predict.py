@@ -329,7 +329,8 @@ def figures(benches: Sequence[JudgedBench], prefix: str) -> list[Result]:
         repeated = [answer[figure].repeated_off for one in kept for answer in one.answers.values()]
         if known := [each for each in repeated if each is not None]:
             share = float(np.mean(np.array(known) <= NEAR))
-            results.append(above(f"{prefix}_{figure}_repeated_within_10_percent", share, "share", near))
+            name = f"{prefix}_{figure}_repeated_within_10_percent"
+            results.append(above(name, share, "share", LEAST_NEAR))
     for question in kept[0].answers:
         off = [each.off for one in kept for each in one.answers[question].values()]
         results.append(below(f"{prefix}_{question}_off", float(np.median(off)), "relative", NEAR))
