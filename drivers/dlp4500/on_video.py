@@ -113,7 +113,7 @@ class OnVideo:
 
     def _play_frames(self, board: Controller, exposure_us: int, period_us: int) -> None:
         gap_us = max(period_us - exposure_us, 0)
-        slots = assign_slots(self._patterns, 1 if gap_us else self._frame_us // exposure_us)
+        slots = assign_slots(self._patterns, self._frame_us // exposure_us)
         groups = [list(group) for _, group in groupby(slots, lambda slot: slot.image)]
         self._displayed_image, prepared = None, None
         for frame, group in zip(pack_images(self._patterns, slots), groups, strict=True):
