@@ -23,8 +23,9 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import UndeterminedError
 from fpplab.core.geometry import RigidTransform
 
-UNLIMITED_PX = 100.0
-"""Size of steps that are estimated freely, to judge them. Chosen: far beyond any drift."""
+UNLIMITED_ERRORS = 1e3
+"""Size of steps that are estimated freely, to judge them, in standard errors of the projector's points.
+Chosen: beyond any drift, and near enough that the equations can be solved in double precision."""
 
 
 def fit_with_drift(
@@ -68,7 +69,8 @@ def _steps_by_chance(
     observations: Sequence[Observation], near: Solution, model: Model, sizes: ErrorSizes
 ) -> tuple[float, float]:
     """Give the probability that steps as clear as the best ones come by chance, and their RMS in px."""
-    problem = Problem(tuple(observations), model, replace(sizes, drift_px=UNLIMITED_PX), near)
+    free_px = UNLIMITED_ERRORS * sizes.projector_px
+    problem = Problem(tuple(observations), model, replace(sizes, drift_px=free_px), near)
     vector, limit = problem.pack(near), np.inf
     normal, gradient = problem.normal_equations(vector, limit)
     inverse = inverse_of(problem, normal)
