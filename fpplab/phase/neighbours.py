@@ -200,8 +200,7 @@ class _PhasesInTiles:
     def _scatter_of_independent(self, rest: Floats) -> float:
         """Variance of the phases beside that of noise in frames that nothing filtered; 1 at most."""
         # rest (2, P). What scatters by more is a rough surface.
-        variance = _inner(self.noise.variance(self.fitted[0]) / np.square(self.modulation))[self.used]
-        scaled = rest / np.sqrt(_SQUARE_OF_BEND * 2.0 / len(self.levels) * variance)
+        scaled = rest / np.sqrt(_SQUARE_OF_BEND * 2.0 / len(self.levels) * self._noise_per_power())
         kept = np.abs(scaled) < NEIGHBOURS.outlier_sigmas * robust_spread(scaled.ravel(), 1e-6)
         scatter = float(np.square(scaled[kept]).mean())
         # Second differences share pixels: of n pixels the mean square has a relative uncertainty of 2/√n.
@@ -239,8 +238,11 @@ class _PhasesInTiles:
 
     def _variance_of_noise(self) -> float:
         """Mean square of second differences that the noise of grey levels makes."""
-        per_power = _inner(self.noise.variance(self.fitted[0]) / np.square(self.modulation))[self.used]
-        return _SQUARE_OF_BEND * 2.0 / len(self.levels) * float(per_power.mean())
+        return _SQUARE_OF_BEND * 2.0 / len(self.levels) * float(self._noise_per_power().mean())
+
+    def _noise_per_power(self) -> Floats:
+        """Variance of the noise of every pixel that is used, over the square of its modulation."""
+        return _inner(self.noise.variance(self.fitted[0]) / np.square(self.modulation))[self.used]
 
     def _variance_of_distant_bends(self, strengths: Floats, shapes: Floats) -> float | None:
         """Mean square of second differences over 2 and 3 px; None where it grows as no noise does."""
