@@ -108,7 +108,9 @@ class Bench:
         if process.returncode == 0:
             return ""
         failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
-        return failed[0].split(" - ")[0] if failed else output.strip().splitlines()[-1]
+        # A fault may end the process before it prints anything, such as by a signal to its own group.
+        printed = output.strip().splitlines() or [f"exit code {process.returncode} without a word"]
+        return failed[0].split(" - ")[0] if failed else printed[-1]
 
     def _forget_machine_code(self, fault: Fault) -> None:
         """Delete what numba compiled of code that calls the fault's: it looks at its own file alone."""

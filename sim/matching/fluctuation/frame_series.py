@@ -14,9 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import null_space, solve_triangular
 from scipy.optimize import least_squares, minimize, minimize_scalar
 
 from fpplab.core.conventions import Floats
@@ -44,45 +46,65 @@ class Series:
     frames: Floats  # numbers (n,) of the frames in the session
     sets: NDArray[np.int64]  # fringe set (n,) of each
     values: Floats  # (n, k)
-    covariance: Floats  # (n, k, k) by noise
+    covariance: Floats  # (n k, n k) by noise, and by faults of the fit that frames of a set share
+
+    @cached_property
+    def contrasts(self) -> Floats:
+        """Orthonormal combinations (n, m) of frames that the means of their sets do not change."""
+        members = (self.sets[:, None] == np.unique(self.sets)).astype(np.float64)
+        return np.asarray(null_space(members.T))
 
     @property
     def freedom(self) -> int:
         """Number of independent frames once the means of their sets are taken off."""
-        return len(self.frames) - len(np.unique(self.sets))
+        return self.contrasts.shape[1]
 
     def along(self, direction: Floats, isotropic: float) -> Series:
         """Estimate the values along a direction, which is all that there is but for random numbers."""
         # direction (k,)
-        inverse = np.linalg.inv(self.covariance + isotropic**2 * np.eye(len(direction)))
-        variance = 1.0 / np.einsum("i,nij,j->n", direction, inverse, direction)
-        values = variance * np.einsum("i,nij,nj->n", direction, inverse, self.values)
-        return Series(self.frames, self.sets, values[:, None], variance[:, None, None])
+        onto = np.kron(np.eye(len(self.frames)), direction[:, None])
+        weights = np.linalg.solve(self.covariance + isotropic**2 * np.eye(self.values.size), onto)
+        covariance = np.linalg.inv(onto.T @ weights)
+        return Series(
+            self.frames, self.sets, (covariance @ weights.T @ self.values.ravel())[:, None], covariance
+        )
+
+    def contrasted(self, values: Floats) -> Floats:
+        """Take off the means of the fringe sets."""
+        # values (n, ...); returns (m, ...)
+        return np.asarray(np.tensordot(self.contrasts.T, values, 1))
+
+    @cached_property
+    def noise(self) -> Floats:
+        """Covariance (m k, m k) of contrasts without any changes."""
+        mixed = np.kron(self.contrasts, np.eye(self.values.shape[1]))
+        return np.asarray(mixed.T @ self.covariance @ mixed)
+
+    @property
+    def mean_noise(self) -> Floats:
+        """Mean covariance (k, k) of a contrast."""
+        size = self.values.shape[1]
+        blocks = self.noise.reshape(self.freedom, size, self.freedom, size)
+        return np.asarray(np.einsum("niNj,nN->ij", blocks, np.eye(self.freedom)) / self.freedom)
 
     def whitening(self, random: RandomDisplacement) -> Floats:
-        """Give matrices (n, k, k) that make noise and random numbers have the variance 1."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance + random.covariance)))
+        """Give the matrix (m k, m k) that makes noise and random numbers in contrasts have the variance 1."""
+        factor = np.linalg.cholesky(self.noise + self.changes(random))
+        return np.asarray(solve_triangular(factor, np.eye(len(factor)), lower=True))
 
-    def centred(self, values: Floats, white: Floats) -> Floats:
-        """Take off the weighted mean of every fringe set."""
-        # values (n, k); white (n, k, k); returns (n, k)
-        offsets = values.copy()
-        weights = np.einsum("nki,nkj->nij", white, white)
-        for number in np.unique(self.sets):
-            of = self.sets == number
-            total = np.einsum("nij,nj->i", weights[of], values[of])
-            offsets[of] -= np.linalg.solve(weights[of].sum(axis=0), total)
-        return offsets
+    def changes(self, random: RandomDisplacement) -> Floats:
+        """Covariance (m k, m k) of contrasts by random numbers alone."""
+        return np.asarray(np.kron(np.eye(self.freedom), random.covariance))
 
 
 def fit_fluctuation(series: Sequence[Series], oscillates: bool = True) -> FrameFluctuation:
     """Estimate what changes, as far as Schwarz's criterion asks for it."""
     size = series[0].values.shape[1]
     best, still = RandomDisplacement(0.0, np.zeros(size)), _misfit_of_noise(series)
-    lowest = still
+    lowest, contrasts = still, [pose.contrasted(pose.values) for pose in series]
     for has_axis in (False, True)[: min(size, 2)]:
-        random = _fit_random_displacement(series, has_axis)
-        criterion = _criterion(series, _residuals_about_means(series, random), random, random.free)
+        random = _most_likely(series, contrasts, 0.0, has_axis)
+        criterion = _criterion(series, contrasts, random, random.free)
         if criterion < lowest:
             best, lowest = random, criterion
     fluctuation = FrameFluctuation(
@@ -122,28 +144,17 @@ def _oscillating_along(series: Sequence[Series], fluctuation: FrameFluctuation) 
 
 def _misfit_of_noise(series: Sequence[Series]) -> float:
     nothing = RandomDisplacement(0.0, np.zeros(series[0].values.shape[1]))
-    return _criterion(series, _residuals_about_means(series, nothing), nothing, 0)
-
-
-def _fit_random_displacement(series: Sequence[Series], along_an_axis: bool) -> RandomDisplacement:
-    random = RandomDisplacement(0.0, np.zeros(series[0].values.shape[1]))
-    for _ in range(LIMITS.rounds):
-        random = _most_likely(series, _residuals_about_means(series, random), 0.0, along_an_axis)
-    return random
-
-
-def _residuals_about_means(series: Sequence[Series], random: RandomDisplacement) -> list[Floats]:
-    return [pose.centred(pose.values, pose.whitening(random)) for pose in series]
+    return _criterion(series, [pose.contrasted(pose.values) for pose in series], nothing, 0)
 
 
 def _most_likely(
     series: Sequence[Series], residuals: Sequence[Floats], taken: float, has_axis: bool
 ) -> RandomDisplacement:
-    """The most likely random numbers, by the residuals (n, k) of each pose."""
-    # taken: parameters that were fitted to each component of each pose, besides the means.
+    """The most likely random numbers, by what is left of the contrasts (m, k) of each pose."""
+    # taken: parameters that were fitted to each component of each pose.
     size = series[0].values.shape[1]
     grown = [
-        values * np.sqrt(len(values) / max(pose.freedom - taken, 1.0))
+        values * np.sqrt(pose.freedom / max(pose.freedom - taken, 1.0))
         for pose, values in zip(series, residuals, strict=True)
     ]
     largest = max(float(np.abs(pose).max()) for pose in grown)
@@ -160,11 +171,11 @@ def _most_likely(
     )
     start = np.array([isotropic.x])
     if has_axis:
-        weights = [1.0 / np.trace(pose.covariance, axis1=1, axis2=2) for pose in series]
+        weights = [1.0 / np.trace(pose.mean_noise) for pose in series]
         scatter = sum(
-            np.einsum("n,ni,nj->ij", w, values, values) - np.einsum("n,nij->ij", w, pose.covariance)
+            w * (values.T @ values - pose.freedom * pose.mean_noise)
             for pose, values, w in zip(series, grown, weights, strict=True)
-        ) / sum(w.sum() for w in weights)
+        ) / sum(w * pose.freedom for pose, w in zip(series, weights, strict=True))
         strength, directions = np.linalg.eigh(scatter)
         line = np.sqrt(max(strength[-1], 1e-4 * largest**2)) / largest * directions[:, -1]
         start = np.append(start + np.log(0.5), line)
@@ -181,20 +192,18 @@ def _relative_sigma(series: Sequence[Series], random: RandomDisplacement) -> flo
     """Relative standard uncertainty of the size of random numbers, by the frames that determine them."""
     information = 0.0
     for pose in series:
-        noise = np.trace(pose.covariance, axis1=1, axis2=2) + 1e-300
-        information += pose.freedom * float(
-            np.mean((1.0 / (1.0 + noise / max(np.trace(random.covariance), 1e-300))) ** 2)
-        )
+        white = pose.whitening(random)
+        information += float(np.sum((white @ pose.changes(random) @ white.T) ** 2))
     return float(1.0 / np.sqrt(2.0 * max(information, 1e-12)))
 
 
 def _misfit(series: Sequence[Series], residuals: Sequence[Floats], random: RandomDisplacement) -> float:
-    """Twice the negative logarithm of the likelihood of the residuals, but for a constant."""
+    """Twice the negative logarithm of the likelihood of residuals (m, k), but for a constant."""
     total = 0.0
     for pose, values in zip(series, residuals, strict=True):
         white = pose.whitening(random)
-        total += float(np.sum(np.einsum("nij,nj->ni", white, values) ** 2))
-        total -= 2.0 * float(np.sum(np.log(np.diagonal(white, axis1=1, axis2=2))))
+        total += float(np.sum((white @ values.ravel()) ** 2))
+        total -= 2.0 * float(np.sum(np.log(np.diagonal(white))))
     return total
 
 
@@ -212,7 +221,7 @@ def _with_oscillation(series: Sequence[Series], random: RandomDisplacement, stil
         whites = [pose.whitening(random) for pose in series]
         fit = least_squares(_whitened_residual, unknown, args=(series, whites), x_scale="jac")
         unknown = fit.x
-        residuals = _residual(unknown, series, whites)
+        residuals = _residual(unknown, series)
         random = _most_likely(series, residuals, (1 + size + len(series)) / (size * len(series)), has_axis)
     variance = np.linalg.pinv(fit.jac.T @ fit.jac)
     oscillation = unknown[1 : 1 + size]
@@ -251,20 +260,13 @@ def _find_strongest_wave(
 
 
 def _wave_of_pose(pose: Series, white: Floats, frequency: float) -> tuple[float, NDArray[np.complex128]]:
-    """Fit means of the sets and a wave; by how much the wave lowers the misfit, and its amplitude (k,)."""
+    """Fit a wave; by how much it lowers the misfit, and its amplitude (k,)."""
     turn, size = 2 * np.pi * frequency * pose.frames, pose.values.shape[1]
-    means = (pose.sets[:, None] == np.unique(pose.sets)).astype(np.float64)
-    values = np.einsum("nij,nj->ni", white, pose.values).ravel()
-
-    def fitted(basis: Floats) -> tuple[float, Floats]:
-        matrix = np.einsum("nij,nk->nijk", white, basis)
-        matrix = matrix.transpose(0, 1, 3, 2).reshape(len(turn) * size, -1)
-        coefficients = np.linalg.lstsq(matrix, values, rcond=1e-3)[0]
-        return float(coefficients @ (matrix.T @ values)), coefficients.reshape(-1, size)
-
-    without, _ = fitted(means)
-    whole, coefficients = fitted(np.column_stack([means, np.cos(turn), np.sin(turn)]))
-    return whole - without, np.asarray(coefficients[-2] - 1j * coefficients[-1])
+    wave = pose.contrasted(np.column_stack([np.cos(turn), np.sin(turn)]))
+    matrix, values = white @ np.kron(wave, np.eye(size)), white @ pose.contrasted(pose.values).ravel()
+    coefficients = np.linalg.lstsq(matrix, values, rcond=1e-3)[0]
+    cosine, sine = coefficients.reshape(2, size)
+    return float(coefficients @ (matrix.T @ values)), np.asarray(cosine - 1j * sine)
 
 
 def _start_of_fit(frequency: float, amplitudes: NDArray[np.complex128]) -> Floats:
@@ -275,21 +277,18 @@ def _start_of_fit(frequency: float, amplitudes: NDArray[np.complex128]) -> Float
     return np.concatenate([[frequency], oscillation, np.angle(along) + 0.5 * np.pi])
 
 
-def _residual(unknown: Floats, series: Sequence[Series], whites: Sequence[Floats]) -> list[Floats]:
-    """What an oscillation leaves of the values (n, k) of each pose, without the means of their sets."""
+def _residual(unknown: Floats, series: Sequence[Series]) -> list[Floats]:
+    """What an oscillation leaves of the contrasts (m, k) of each pose."""
     size = series[0].values.shape[1]
     frequency, oscillation, phases = unknown[0], unknown[1 : 1 + size], unknown[1 + size :]
     residuals = []
-    for pose, phase, white in zip(series, phases, whites, strict=True):
+    for pose, phase in zip(series, phases, strict=True):
         wave = np.sqrt(2.0) * np.sin(2 * np.pi * frequency * pose.frames + phase)
-        residuals.append(pose.centred(pose.values - np.outer(wave, oscillation), white))
+        residuals.append(pose.contrasted(pose.values - np.outer(wave, oscillation)))
     return residuals
 
 
 def _whitened_residual(unknown: Floats, series: Sequence[Series], whites: Sequence[Floats]) -> Floats:
     return np.concatenate(
-        [
-            np.einsum("nij,nj->ni", white, values).ravel()
-            for white, values in zip(whites, _residual(unknown, series, whites), strict=True)
-        ]
+        [white @ values.ravel() for white, values in zip(whites, _residual(unknown, series), strict=True)]
     )

@@ -52,18 +52,16 @@ class FrameTerms:
     frames: Floats  # numbers (n,) of the frames in the session
     sets: NDArray[np.int64]  # fringe set (n,) of each frame
     values: Floats  # (n, 5)
-    covariance: Floats  # (n, 5, 5), by all that the fit leaves. Residuals within a tile count as dependent
-    noise: Floats  # (n, 5, 5), by what of it changes from frame to frame
+    covariance: Floats  # (n, 5, n, 5), by all that the fit leaves. Residuals within a tile count as dependent
     room_share: float  # share of the room's light in the mean level above black
 
     def series(self, columns: Sequence[int]) -> Series:
-        of = list(columns)
-        # A fringe that the twin has elsewhere in all frames looks like a motion, but not like more light.
-        measured = self.noise if columns == GAIN else self.covariance
+        of, count = list(columns), len(self.frames)
         # Faults of the fit are a share of the level, whichever light they are taken for.
         shares = {GAIN[0]: 1.0, ROOM[0]: max(self.room_share, LIMITS.min_room_share)}
         min_variance = (LIMITS.min_gain / shares[of[0]]) ** 2 if of[0] in shares else 0.0
-        covariance = measured[:, of][:, :, of] + min_variance * np.eye(len(of))
+        size = count * len(of)
+        covariance = self.covariance[:, of][..., of].reshape(size, size) + min_variance * np.eye(size)
         return Series(self.frames, self.sets, self.values[:, of], covariance)
 
 
@@ -89,12 +87,11 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     fits = [_fit_differences(off, basis) for off, basis in zip(differences, bases, strict=True)]
     values = np.array([coefficients for coefficients, _ in fits])
     residuals, tiles = np.array([rest for _, rest in fits]), tile_numbers(pixels)
-    both = [
-        np.array([_covariance(rest, basis, tiles) for rest, basis in zip(residual, bases, strict=True)])
-        for residual in (residuals, _remove_constant_part(residuals, reference.plan, sets))
-    ]
+    changing = _remove_constant_part(residuals, reference.plan, sets)
+    covariance = _of_each_frame([_tile_errors(*of, tiles) for of in zip(changing, bases, strict=True)])
+    covariance += _of_shared_fringe(residuals, bases, tiles, reference.plan, sets)
     room_share = share if share > LIMITS.min_room_share else 0.0
-    return FrameTerms(pose, np.array(images, np.float64), sets, values, both[0], both[1], room_share)
+    return FrameTerms(pose, np.array(images, np.float64), sets, values, covariance, room_share)
 
 
 def _images_of_finest_sets(reference: Reference) -> tuple[tuple[int, ...], NDArray[np.int64]]:
@@ -133,12 +130,47 @@ def _remove_constant_part(residuals: Floats, plan: Plan, sets: NDArray[np.int64]
     return changing
 
 
-def _covariance(residual: Floats, basis: Floats, tiles: NDArray[np.int64]) -> Floats:
-    """Covariance (5, 5) of coefficients, by residuals (P,) that may depend on each other within a tile."""
+def _tile_errors(residual: Floats, basis: Floats, tiles: NDArray[np.int64]) -> Floats:
+    """Give by how much residuals (P,) of each tile displace the coefficients, (`TILES`², 5)."""
     size = _sizes(basis)
     scaled = basis / size
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10)
     scores = np.array([np.bincount(tiles, column, TILES**2) for column in (scaled * residual[:, None]).T])
-    covariance = inverse @ (scores @ scores.T) @ inverse
-    min_covariance = np.eye(len(size)) * 1e-12 * max(float(np.trace(covariance)), 1e-300)
-    return np.asarray((covariance + min_covariance) / np.outer(size, size))
+    return np.asarray((inverse @ scores).T / size)
+
+
+def _of_each_frame(errors: Sequence[Floats]) -> Floats:
+    """Covariance (n, 5, n, 5) of coefficients by errors (tiles, 5) that are others in every frame."""
+    count, size = len(errors), errors[0].shape[1]
+    covariance = np.zeros((count, size, count, size))
+    for n, error in enumerate(errors):
+        of_frame = error.T @ error
+        covariance[n, :, n] = of_frame + 1e-12 * np.diag(np.diagonal(of_frame)) + 1e-300 * np.eye(size)
+    return covariance
+
+
+def _of_shared_fringe(
+    residuals: Floats, bases: Sequence[Floats], tiles: NDArray[np.int64], plan: Plan, sets: NDArray[np.int64]
+) -> Floats:
+    """Covariance (n, 5, n, 5) by fringes that the twin has elsewhere, or of another size, in all frames.
+
+    What they are taken for goes once or twice through its period while the phase does once, with a phase that
+    chance decides.
+    """
+    count, size = len(residuals), bases[0].shape[1]
+    covariance = np.zeros((count, size, count, size))
+    for number in np.unique(sets):
+        of, fringe = np.flatnonzero(sets == number), plan.sets[number]
+        if not isinstance(fringe, FringeSet):
+            continue
+        shift = fringe.phase_shifts()
+        shared = residuals[of] - beyond_fringe(shift) @ residuals[of]
+        errors = np.array([_tile_errors(rest, bases[n], tiles) for n, rest in zip(of, shared, strict=True)])
+        for harmonic in (1, 2):
+            turn = harmonic * shift
+            waves = np.linalg.qr(np.column_stack([np.cos(turn), np.sin(turn)]))[0]
+            amplitudes = np.einsum("nw,ntc->wtc", waves, errors)
+            of_wave = np.einsum("wtc,wtd->cd", amplitudes, amplitudes) / 2.0
+            by_frame = np.einsum("nw,mw,cd->nmcd", waves, waves, of_wave)
+            covariance[of[:, None], :, of[None, :]] += by_frame
+    return covariance

@@ -60,12 +60,12 @@ def test_steady_light_of_a_shaking_bench_has_no_flicker(truth: TwinParameters) -
 @pytest.mark.parametrize(("ripple", "is_found"), [(0.01, False), (0.3, True)])
 def test_faults_of_a_fit_are_no_ripple_of_a_faint_room(ripple: float, is_found: bool) -> None:
     """A hundredth of light that is a hundredth of the level is a ten-thousandth of the level."""
-    random, frames, tiny = np.random.default_rng(3), np.arange(16.0), np.tile(1e-10 * np.eye(5), (16, 1, 1))
+    random, frames, tiny = np.random.default_rng(3), np.arange(16.0), 1e-10 * np.eye(80).reshape(16, 5, 16, 5)
     poses = []
     for pose in range(6):
         values = np.zeros((16, 5))
         values[:, 1] = ripple / np.sqrt(2) * random.standard_normal(16)
-        poses.append(FrameTerms(pose, frames, np.repeat([0, 1], 8), values, tiny, tiny, 0.01))
+        poses.append(FrameTerms(pose, frames, np.repeat([0, 1], 8), values, tiny, 0.01))
     found = ripple_in_step(poses)
     assert (found.gained > 0) == is_found
     assert found.amplitude == (pytest.approx(ripple, rel=0.2) if is_found else 0.0)
@@ -171,3 +171,17 @@ def test_a_further_variance_is_found_beside_noise() -> None:
     assert told.criterion(told.further, 1) < told.criterion(0.0, 0) - 20
     alone = Variances(random.normal(0, np.sqrt(2.0), count) ** 2, noise, np.ones(count))
     assert alone.criterion(alone.further, 1) > alone.criterion(0.0, 0)
+
+
+@pytest.mark.whole
+def test_faults_of_the_fringes_are_no_changes_of_frames(truth: TwinParameters) -> None:
+    """The twin's fringes are distorted and its image is darker towards the edge; the bench only vibrates."""
+    calibration = truth.calibration
+    bent = replace(calibration.projector, distortion=np.array([0.05, 0.5]))
+    calibration = replace(calibration, projector=bent)
+    start = replace(truth, calibration=calibration, vignetting=truth.vignetting + 1.0)
+    at = context(replace(truth, vibration_mm=1e-3), start)
+    gain, moves = at.fluctuation("projector", oscillates=False), at.fluctuation("position")
+    assert gain.random.isotropic < 3e-4
+    assert 0.5e-3 < moves.size / np.sqrt(3) < 2e-3
+    assert not moves.oscillation.any()

@@ -15,7 +15,7 @@ def series(random: np.random.Generator, values: Floats, noise: Floats = NOISE) -
     count, size = values.shape
     noisy = values + random.multivariate_normal(np.zeros(size), noise[:size, :size], count)
     noisy += random.normal(0, 1.0, (3, size))[SETS]
-    return Series(FRAMES, SETS, noisy, np.broadcast_to(noise[:size, :size], (count, size, size)))
+    return Series(FRAMES, SETS, noisy, np.kron(np.eye(count), noise[:size, :size]))
 
 
 def wave_of(random: np.random.Generator, rms: Floats, cycles: float) -> Floats:
@@ -103,5 +103,5 @@ def test_frequencies_lie_as_near_as_their_uncertainty_says() -> None:
 def test_few_frames_tell_no_frequency() -> None:
     random = np.random.default_rng(4)
     whole = series(random, wave_of(random, np.array([3e-3]), 0.2))
-    some = [Series(whole.frames[:8], SETS[:8], whole.values[:8], whole.covariance[:8])] * 3
+    some = [Series(whole.frames[:8], SETS[:8], whole.values[:8], whole.covariance[:8, :8])] * 3
     assert not fit_fluctuation(some).oscillation.any()
