@@ -12,14 +12,15 @@ the phase steps would be taken for an oscillation.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, solve_triangular
-from scipy.optimize import least_squares, minimize, minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
+from scipy.special import logsumexp
 
 from fpplab.core.conventions import Floats
 from sim.effects.step import FrameFluctuation, RandomDisplacement
@@ -31,7 +32,7 @@ class SeriesLimits:
 
     min_frames: int = 8  # of a pose, for a search of its frequency (chosen)
     steps_per_cycle: int = 6  # of the search, for one cycle more in the frames of a pose (chosen)
-    rounds: int = 3  # estimates of what the oscillation leaves, which is the noise of the next one (chosen)
+    phases_per_width: float = 8.0  # places at which likelihoods of a phase are added up, by their width
     min_isotropic_share: float = 0.02  # of what all directions have, relative to the axis; less is 0 (chosen)
     min_share: float = 1e-6  # minimum standard deviation, relative to the greatest value (numerical)
 
@@ -80,6 +81,12 @@ class Series:
         mixed = np.kron(self.contrasts, np.eye(self.values.shape[1]))
         return np.asarray(mixed.T @ self.covariance @ mixed)
 
+    @cached_property
+    def independent(self) -> tuple[Floats, Floats]:
+        """Variances of independent combinations of contrasts, and these in columns (m k, m k)."""
+        variances, basis = np.linalg.eigh(self.noise)
+        return np.maximum(variances, 0.0), basis
+
     @property
     def mean_noise(self) -> Floats:
         """Mean covariance (k, k) of a contrast."""
@@ -101,10 +108,10 @@ def fit_fluctuation(series: Sequence[Series], oscillates: bool = True) -> FrameF
     """Estimate what changes, as far as Schwarz's criterion asks for it."""
     size = series[0].values.shape[1]
     best, still = RandomDisplacement(0.0, np.zeros(size)), _misfit_of_noise(series)
-    lowest, contrasts = still, [pose.contrasted(pose.values) for pose in series]
+    lowest = still
     for has_axis in (False, True)[: min(size, 2)]:
-        random = _most_likely(series, contrasts, 0.0, has_axis)
-        criterion = _criterion(series, contrasts, random, random.free)
+        random = _most_likely(series, has_axis)
+        criterion = _criterion(series, random)
         if criterion < lowest:
             best, lowest = random, criterion
     fluctuation = FrameFluctuation(
@@ -121,7 +128,7 @@ def fit_fluctuation(series: Sequence[Series], oscillates: bool = True) -> FrameF
 
 
 def _with_oscillation_if_likelier(series: Sequence[Series], alone: FrameFluctuation) -> FrameFluctuation:
-    oscillating = _with_oscillation(series, alone.random, _misfit_of_noise(series))
+    oscillating = _with_oscillation(series, alone.random.isotropic, _misfit_of_noise(series))
     return oscillating if oscillating.gained > alone.gained else alone
 
 
@@ -144,20 +151,13 @@ def _oscillating_along(series: Sequence[Series], fluctuation: FrameFluctuation) 
 
 def _misfit_of_noise(series: Sequence[Series]) -> float:
     nothing = RandomDisplacement(0.0, np.zeros(series[0].values.shape[1]))
-    return _criterion(series, [pose.contrasted(pose.values) for pose in series], nothing, 0)
+    return _criterion(series, nothing)
 
 
-def _most_likely(
-    series: Sequence[Series], residuals: Sequence[Floats], taken: float, has_axis: bool
-) -> RandomDisplacement:
-    """The most likely random numbers, by what is left of the contrasts (m, k) of each pose."""
-    # taken: parameters that were fitted to each component of each pose.
+def _most_likely(series: Sequence[Series], has_axis: bool) -> RandomDisplacement:
     size = series[0].values.shape[1]
-    grown = [
-        values * np.sqrt(pose.freedom / max(pose.freedom - taken, 1.0))
-        for pose, values in zip(series, residuals, strict=True)
-    ]
-    largest = max(float(np.abs(pose).max()) for pose in grown)
+    contrasts = [pose.contrasted(pose.values) for pose in series]
+    largest = max(float(np.abs(pose).max()) for pose in contrasts)
     if not largest:
         return RandomDisplacement(0.0, np.zeros(size))
 
@@ -166,21 +166,19 @@ def _most_likely(
         return RandomDisplacement(largest * float(np.exp(unknown[0])), axis)
 
     bounds = (np.log(LIMITS.min_share), 0.0)
-    isotropic = minimize_scalar(
-        lambda x: _misfit(series, grown, of(np.append(x, np.zeros(size)))), bounds=bounds
-    )
+    isotropic = minimize_scalar(lambda x: _misfit(series, of(np.append(x, np.zeros(size)))), bounds=bounds)
     start = np.array([isotropic.x])
     if has_axis:
         weights = [1.0 / np.trace(pose.mean_noise) for pose in series]
         scatter = sum(
             w * (values.T @ values - pose.freedom * pose.mean_noise)
-            for pose, values, w in zip(series, grown, weights, strict=True)
+            for pose, values, w in zip(series, contrasts, weights, strict=True)
         ) / sum(w * pose.freedom for pose, w in zip(series, weights, strict=True))
         strength, directions = np.linalg.eigh(scatter)
         line = np.sqrt(max(strength[-1], 1e-4 * largest**2)) / largest * directions[:, -1]
         start = np.append(start + np.log(0.5), line)
         limits = [bounds, *[(-1.0, 1.0)] * size]
-        start = minimize(lambda unknown: _misfit(series, grown, of(unknown)), start, bounds=limits).x
+        start = minimize(lambda unknown: _misfit(series, of(unknown)), start, bounds=limits).x
     random = of(start)
     min_isotropic = max(
         10 * LIMITS.min_share * largest, LIMITS.min_isotropic_share * float(np.linalg.norm(random.axis))
@@ -197,98 +195,104 @@ def _relative_sigma(series: Sequence[Series], random: RandomDisplacement) -> flo
     return float(1.0 / np.sqrt(2.0 * max(information, 1e-12)))
 
 
-def _misfit(series: Sequence[Series], residuals: Sequence[Floats], random: RandomDisplacement) -> float:
-    """Twice the negative logarithm of the likelihood of residuals (m, k), but for a constant."""
+def _misfit(series: Sequence[Series], random: RandomDisplacement) -> float:
+    """Twice the negative logarithm of the likelihood, but for a constant."""
     total = 0.0
-    for pose, values in zip(series, residuals, strict=True):
+    for pose in series:
         white = pose.whitening(random)
-        total += float(np.sum((white @ values.ravel()) ** 2))
+        total += float(np.sum((white @ pose.contrasted(pose.values).ravel()) ** 2))
         total -= 2.0 * float(np.sum(np.log(np.diagonal(white))))
     return total
 
 
-def _criterion(
-    series: Sequence[Series], residuals: Sequence[Floats], random: RandomDisplacement, free: int
-) -> float:
-    count = sum(values.size for values in residuals)
-    return _misfit(series, residuals, random) + free * float(np.log(count))
+def _criterion(series: Sequence[Series], random: RandomDisplacement) -> float:
+    return _misfit(series, random) + random.free * _cost_of_parameter(series)
 
 
-def _with_oscillation(series: Sequence[Series], random: RandomDisplacement, still: float) -> FrameFluctuation:
-    size, has_axis = series[0].values.shape[1], bool(random.axis.any())
-    unknown, residuals = _start_of_fit(*_find_strongest_wave(series, random)), []
-    for _ in range(LIMITS.rounds):
-        whites = [pose.whitening(random) for pose in series]
-        fit = least_squares(_whitened_residual, unknown, args=(series, whites), x_scale="jac")
-        unknown = fit.x
-        residuals = _residual(unknown, series)
-        random = _most_likely(series, residuals, (1 + size + len(series)) / (size * len(series)), has_axis)
-    variance = np.linalg.pinv(fit.jac.T @ fit.jac)
-    oscillation = unknown[1 : 1 + size]
-    length = max(float(np.linalg.norm(oscillation)), 1e-300)
-    of_size = float(np.sqrt(oscillation @ variance[1 : 1 + size, 1 : 1 + size] @ oscillation)) / length**2
-    return FrameFluctuation(
-        random,
-        oscillation,
-        float(np.clip(unknown[0], 1e-6, 0.5)),
-        float(np.sqrt(variance[0, 0])),
-        of_size,
-        still - _criterion(series, residuals, random, random.free + 1 + size + len(series)),
-    )
+def _cost_of_parameter(series: Sequence[Series]) -> float:
+    return float(np.log(sum(pose.freedom * pose.values.shape[1] for pose in series)))
 
 
-def _find_strongest_wave(
-    series: Sequence[Series], random: RandomDisplacement
-) -> tuple[float, NDArray[np.complex128]]:
-    """Find the frequency with which waves of any size in every pose explain most."""
-    # Returns it, and there the amplitudes (poses, k) x of `Re(x exp(2 pi i f n))`.
+@dataclass(frozen=True, eq=False)
+class _Waves:
+    """Waves of one frequency in a pose's contrasts (m,), whose noise is independent in this basis."""
+
+    cross: Floats  # (2,) of sine and cosine with the contrasts, both over their variance
+    square: Floats  # (2, 2) of sine and cosine with each other
+    without: float  # misfit without a wave
+
+    @classmethod
+    def of(cls, pose: Series, frequency: float, random: float) -> _Waves:
+        variances, basis = pose.independent
+        variances = variances + random**2
+        turn = 2 * np.pi * frequency * pose.frames
+        waves = basis.T @ pose.contrasted(np.sqrt(2.0) * np.column_stack([np.sin(turn), np.cos(turn)]))
+        values = basis.T @ pose.contrasted(pose.values)[:, 0]
+        without = float(np.sum(values**2 / variances + np.log(variances)))
+        return cls(waves.T @ (values / variances), waves.T @ (waves / variances[:, None]), without)
+
+    @property
+    def amplitudes(self) -> Floats:
+        """The most likely amplitudes (2,) of sine and cosine."""
+        return np.asarray(np.linalg.pinv(self.square, rcond=1e-3, hermitian=True) @ self.cross)
+
+    def misfit(self, rms: float) -> float:
+        """Twice the negative logarithm of the likelihood of an RMS size, if any phase is as likely."""
+        sharpness = rms * float(np.sqrt(np.trace(self.square)))
+        count = int(LIMITS.phases_per_width * (2.0 * np.pi + sharpness))
+        phase = 2.0 * np.pi * np.arange(count) / count
+        unit = np.stack([np.cos(phase), np.sin(phase)])
+        exponent = rms * self.cross @ unit - 0.5 * rms**2 * np.einsum("ip,ij,jp->p", unit, self.square, unit)
+        return self.without - 2.0 * float(logsumexp(exponent) - np.log(count))
+
+
+def _with_oscillation(series: Sequence[Series], random: float, still: float) -> FrameFluctuation:
+    """Fit an oscillation and random numbers to series of one component."""
+
+    def misfit(unknown: Floats) -> float:
+        (frequency, *_), (rms, rest) = unknown, np.exp(unknown[1:])
+        if not 0.0 < frequency <= 0.5:
+            return float("inf")
+        return sum(_Waves.of(pose, frequency, rest).misfit(rms) for pose in series)
+
+    frequency, rms = _find_strongest_wave(series, random)
+    step = 0.1 / max(float(np.ptp(pose.frames)) for pose in series)
+    start = np.array([frequency, np.log(rms), np.log(0.5 * random)])
+    steps = np.diag([step if frequency < 0.25 else -step, 0.3, 0.5])
+    options = {"initial_simplex": np.vstack([start, start + steps]), "xatol": 1e-5, "fatol": 1e-3}
+    fit = minimize(misfit, start, method="Nelder-Mead", options=options)
+    sigma = _standard_errors(misfit, fit.x, np.array([0.1 * step, 0.02, 0.02]))
+    frequency, (rms, rest) = float(fit.x[0]), np.exp(fit.x[1:]).tolist()
+    gained = still - float(fit.fun) - len(fit.x) * _cost_of_parameter(series)
+    alone = RandomDisplacement(rest, np.zeros(1))
+    return FrameFluctuation(alone, np.array([rms]), frequency, float(sigma[0]), float(sigma[1]), gained)
+
+
+def _standard_errors(misfit: Callable[[Floats], float], at: Floats, steps: Floats) -> Floats:
+    """Standard errors (k,) where a misfit is least, by its second derivatives."""
+    moves = np.diag(steps)
+    at = np.minimum(at, [0.5 - 2 * steps[0], np.inf, np.inf])  # frequencies on both sides are below 0.5
+
+    def curvature(a: Floats, b: Floats) -> float:
+        corners = misfit(at + a + b) - misfit(at + a - b) - misfit(at - a + b) + misfit(at - a - b)
+        return corners / 8.0
+
+    strength, directions = np.linalg.eigh([[curvature(a, b) for b in moves] for a in moves])
+    variances = directions**2 @ (1.0 / np.maximum(strength, 1e-6 * max(strength[-1], 1e-300)))
+    return np.asarray(steps * np.sqrt(variances))
+
+
+def _find_strongest_wave(series: Sequence[Series], random: float) -> tuple[float, float]:
+    """Find the frequency with which waves of any size in every pose explain most, and their RMS size."""
     span = max(float(np.ptp(pose.frames)) for pose in series)
     tried = np.arange(LIMITS.steps_per_cycle, 0.5 * span * LIMITS.steps_per_cycle) / (
         span * LIMITS.steps_per_cycle
     )
-    whites = [pose.whitening(random) for pose in series]
-    best, highest = (0.0, np.zeros((len(series), series[0].values.shape[1]), complex)), -1.0
+    best, highest = (0.0, 0.0), -1.0
     for frequency in tried.tolist():
-        explained, amplitudes = 0.0, []
-        for pose, white in zip(series, whites, strict=True):
-            gained, amplitude = _wave_of_pose(pose, white, frequency)
-            explained += gained
-            amplitudes.append(amplitude)
+        waves = [_Waves.of(pose, frequency, random) for pose in series]
+        explained = sum(float(wave.amplitudes @ wave.cross) for wave in waves)
         if explained > highest:
-            best, highest = (frequency, np.array(amplitudes)), explained
+            sizes = np.linalg.norm([wave.amplitudes for wave in waves], axis=1)
+            best, highest = (frequency, float(np.sqrt(np.mean(sizes**2)))), explained
     return best
-
-
-def _wave_of_pose(pose: Series, white: Floats, frequency: float) -> tuple[float, NDArray[np.complex128]]:
-    """Fit a wave; by how much it lowers the misfit, and its amplitude (k,)."""
-    turn, size = 2 * np.pi * frequency * pose.frames, pose.values.shape[1]
-    wave = pose.contrasted(np.column_stack([np.cos(turn), np.sin(turn)]))
-    matrix, values = white @ np.kron(wave, np.eye(size)), white @ pose.contrasted(pose.values).ravel()
-    coefficients = np.linalg.lstsq(matrix, values, rcond=1e-3)[0]
-    cosine, sine = coefficients.reshape(2, size)
-    return float(coefficients @ (matrix.T @ values)), np.asarray(cosine - 1j * sine)
-
-
-def _start_of_fit(frequency: float, amplitudes: NDArray[np.complex128]) -> Floats:
-    """Start of the fit: frequency, oscillation (k,) RMS, and the phase of every pose in rad."""
-    directions = np.linalg.eigh(np.real(amplitudes.T @ amplitudes.conj()))[1]
-    along = amplitudes @ directions[:, -1]
-    oscillation = np.sqrt(0.5 * np.mean(np.abs(along) ** 2)) * directions[:, -1]
-    return np.concatenate([[frequency], oscillation, np.angle(along) + 0.5 * np.pi])
-
-
-def _residual(unknown: Floats, series: Sequence[Series]) -> list[Floats]:
-    """What an oscillation leaves of the contrasts (m, k) of each pose."""
-    size = series[0].values.shape[1]
-    frequency, oscillation, phases = unknown[0], unknown[1 : 1 + size], unknown[1 + size :]
-    residuals = []
-    for pose, phase in zip(series, phases, strict=True):
-        wave = np.sqrt(2.0) * np.sin(2 * np.pi * frequency * pose.frames + phase)
-        residuals.append(pose.contrasted(pose.values - np.outer(wave, oscillation)))
-    return residuals
-
-
-def _whitened_residual(unknown: Floats, series: Sequence[Series], whites: Sequence[Floats]) -> Floats:
-    return np.concatenate(
-        [white @ values.ravel() for white, values in zip(whites, _residual(unknown, series), strict=True)]
-    )

@@ -67,6 +67,16 @@ def test_a_swing_is_told_from_random_changes(cycles: float) -> None:
     assert abs(found.oscillation @ rms) / np.linalg.norm(found.oscillation) / np.linalg.norm(rms) > 0.99
 
 
+@pytest.mark.parametrize("cycles", [0.4995, 0.499])
+def test_a_swing_of_two_frames_is_not_stated_too_large(cycles: float) -> None:
+    """Frames at two places of it alone do not show how far it goes beyond; the scatter between poses does."""
+    random = np.random.default_rng(7)
+    poses = [series(random, wave_of(random, np.array([2e-3]), cycles)) for _ in range(6)]
+    found = fit_fluctuation(poses)
+    assert found.cycles_per_frame == pytest.approx(cycles, abs=0.01)
+    assert found.size == pytest.approx(2e-3, rel=0.5)
+
+
 def test_faults_across_the_line_are_no_swing() -> None:
     """They go in step with the phase steps, eight to a fringe set; vibration is along x."""
     random, line, fault = np.random.default_rng(6), np.array([4e-3, 1e-3, 0]), np.array([0, 0, 2e-3])
