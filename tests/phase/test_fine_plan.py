@@ -9,6 +9,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError
+from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, check_unwrapping
 from fpplab.phase.bounds import widest_interval_share
@@ -90,3 +91,7 @@ def test_uncertainty_is_widened_where_fine_sets_disagree(known: Calibration) -> 
     np.testing.assert_allclose(widened.sigma_total[:25], ratio * 0.05, rtol=1e-5)
     np.testing.assert_allclose(widened.sigma_total[35:], 0.05, rtol=1e-5)
     assert widened_by_disagreement(decoded, Plan.load("plan_paper")) is decoded, "wide sets say little"
+    for widest, is_fine in ((15.0, False), (17.0, True), (64.0, True)):
+        sets = [Sinusoid(axis="x", stripes=stripes, steps=4) for stripes in (widest, 64.0)]
+        plan = Plan(fringes=tuple(sets), unwrapping="guided", depth_mm=DEPTH_MM)
+        assert (widened_by_disagreement(decoded, plan) is not decoded) == is_fine

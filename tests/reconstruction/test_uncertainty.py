@@ -26,6 +26,7 @@ from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.reconstruction.uncertainty import (
     RayGrid,
     point_covariance,
+    rigid_motions,
     with_uncertainty,
 )
 from tests.reconstruction.test_triangulation import CALIBRATION as DISTORTED
@@ -37,6 +38,13 @@ RIG = small_rig()
 ONE_AXIS, TWO_AXES = "plan_paper", "plan_board"
 Stack = NDArray[np.float64]
 """Points of repeated measurements, (repeats, N, 3)."""
+
+
+def test_rigid_motions_are_shifts_and_small_turns() -> None:
+    random = np.random.default_rng(1)
+    points, shift, turn = random.normal(0, 50, (20, 3)), random.normal(size=3), random.normal(size=3)
+    moved = rigid_motions(points) @ np.concatenate([shift, turn])
+    np.testing.assert_allclose(moved, shift + np.cross(turn, points), atol=1e-12)
 
 
 def intrinsics(device: Pinhole) -> NDArray[np.float64]:

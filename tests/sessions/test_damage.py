@@ -10,6 +10,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.checksums import check_recorded, write_recorded
 from fpplab.core.errors import ConfigError, DataError, FppError
 from fpplab.core.files import sweep_file_drafts, write_atomic, write_text
+from fpplab.sessions.inspection import session_faults
 from fpplab.sessions.session import Session
 from tests.comparison.test_comparison import CALIBRATION
 from tests.support.recorded import PLAN, frame, in_a_child, record
@@ -78,6 +79,13 @@ def test_a_crash_between_a_checksum_and_its_file(whole: Path) -> None:
         stream.write(b"{}\n")
     with pytest.raises(DataError, match=r"files.jsonl line 7: is not the checksum"):
         check_recorded(path, b"newer: 1\n")
+
+
+def test_a_damaged_calibration_is_among_a_session_s_faults(whole: Path) -> None:
+    assert session_faults(whole) == []
+    path = whole / "calibration.yaml"
+    path.write_text(path.read_text().replace("focal_px:", "focal_mm:", 1))
+    assert "calibration.yaml" in {fault.file for fault in session_faults(whole)}
 
 
 @pytest.mark.parametrize("name", ["plan.yaml", "rig.yaml", "calibration.yaml", "frame"])

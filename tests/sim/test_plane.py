@@ -13,8 +13,9 @@ from fpplab.patterns.plan import Plan
 from sim.build import build_scene
 from sim.light import Light, SceneState, ShownPattern
 from sim.light.lens import lens_points
-from sim.light.plane import can_compute, computed
-from sim.scene import SubpixelView
+from sim.light.plane import can_compute, computed, computed_motion
+from sim.light.solid import traced
+from sim.scene import RenderScene, SubpixelView
 from sim.worker import Blender
 from sim.world import World
 from sim.world.render import subpixel_shifts
@@ -107,12 +108,18 @@ def test_few_spots_agree_with_many_points(pose: int, focus_mm: float | None) -> 
 
 
 @pytest.mark.parametrize("turned", [[8, -5, 0], [0, 60, 0], [0, -75, 20], [180, 12, 0]])
-def test_computed_light_agrees_with_the_ray_caster(turned: list[float]) -> None:
+@pytest.mark.parametrize("traces", [False, True], ids=["computed", "traced"])
+def test_light_agrees_with_the_ray_caster(turned: list[float], traces: bool) -> None:
     """Also on a card that turns its back to the projector, or shows its back to both."""
     pose = {"rotation_deg": turned, "translation_mm": [0, 0, 450]}
     of = world(items={"card": {"card_mm": [2000, 2000], "pose": pose}}, material={"reflectance": 0.7})
     scene = build_scene(of, SceneState("card"))[0]
-    table = computed(scene, [SubpixelView((0.0, 0.0))])
+    views = [SubpixelView((0.0, 0.0))]
+    if traces:
+        rows, columns = np.indices(of.camera.size[::-1]).reshape(2, -1)
+        samples = traced(scene, views, (rows, columns)).samples.reshape(1, *of.camera.size[::-1], 4)
+    else:
+        samples = computed(scene, views).samples
     held = of.items["card"].pose.transform()  # type: ignore[union-attr]
     normal = held.rotation[:, 2] * -np.sign(held.rotation[:, 2] @ held.translation)
     caster = Caster(of.camera_model(), of.projector_model(), of.T_projector_camera(), 475.0, 0.7)
@@ -120,12 +127,31 @@ def test_computed_light_agrees_with_the_ray_caster(turned: list[float]) -> None:
     place = np.stack([seen.u, seen.v, np.ones_like(seen.u)], axis=-1)[0] @ scene.lamp.affine.T
     inside = (seen.shade[0] > 0) & of.projector_model().sees(seen.points[0], of.T_projector_camera())
     inside &= (np.abs(held.inverse().apply(seen.points[0])) < 1000).all(axis=-1)  # where the card is
-    lit = table.samples[0, ..., 3] > 0
+    lit = samples[0, ..., 3] > 0
     assert inside.sum() > 1000
     assert lit[inside].all()
     assert (seen.shade[0][lit] > 0).all()
-    np.testing.assert_allclose(table.samples[0, inside, :2], place[inside], atol=2e-4)
-    np.testing.assert_allclose(table.samples[0, inside, 3], seen.shade[0][inside], rtol=1e-6)
+    np.testing.assert_allclose(samples[0, inside, :2], place[inside], atol=2e-4)
+    np.testing.assert_allclose(samples[0, inside, 3], seen.shade[0][inside], rtol=1e-6)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_derivatives_by_the_card_s_place_are_those_of_small_steps(axis: int) -> None:
+    pose = {"rotation_deg": [12, -25, 5], "translation_mm": [10, -5, 450]}
+    of = world(items={"card": {"card_mm": [2000, 2000], "pose": pose}}, material={"reflectance": 0.7})
+    held, step_mm = of.items["card"].pose.transform(), 0.05  # type: ignore[union-attr]
+    pixels, views = (np.array([40, 120, 200]), np.array([60, 190, 330])), [SubpixelView((0.0, 0.0))]
+
+    def scene(moved_mm: float) -> RenderScene:
+        return build_scene(of, SceneState("card", held=held.moved(moved_mm * np.eye(3)[axis])))[0]
+
+    motion = computed_motion(scene(0.0), views, pixels).motion[..., axis]
+    before, after = (computed(scene(by), views, pixels=pixels).samples[0, 0] for by in (-step_mm, step_mm))
+    slopes = (after - before) / (2 * step_mm)
+    shade = 0.5 * (before + after)[:, 3]
+    assert (shade > 0).all()
+    np.testing.assert_allclose(motion[:, 0], slopes[:, 3] / shade, rtol=2e-3, atol=1e-6)
+    np.testing.assert_allclose(motion[:, 3:], slopes[:, :2], rtol=2e-3, atol=2e-3)
 
 
 def test_a_lens_is_straight_over_one_pixel() -> None:

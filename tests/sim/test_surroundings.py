@@ -160,6 +160,11 @@ def test_a_frame_reflects_as_a_sheet_in_its_place(tmp_path: Path) -> None:
     assert np.median(grey[frame] / sheet[frame]) == pytest.approx(0.25, rel=0.02)
 
 
+def test_surroundings_do_not_shade_the_room_s_lamps(tmp_path: Path) -> None:
+    """What reaches the items past them, or by way of them, is a lamp of the room already."""
+    assert [wall.shades_room for wall in surroundings_surfaces(walled(tmp_path))] == [False]
+
+
 def test_a_sheet_has_margins_and_texture(tmp_path: Path) -> None:
     data = plain(render=EXACT)
     Pillow.fromarray(np.full((10, 12), 96, np.uint8)).save(tmp_path / "texture.png")

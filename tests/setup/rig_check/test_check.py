@@ -103,7 +103,10 @@ def test_fringes_that_are_not_in_flash_are_not_checked(monkeypatch: pytest.Monke
     assert found.unknown == ("light, focus and geometry: the plan is not in flash; upload it",)
 
 
-def test_a_calibration_of_another_camera_is_refused() -> None:
+def test_a_calibration_of_another_camera_is_refused_before_anything_is_shown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(FormulaProjector, "load", lambda *_: pytest.fail("patterns were loaded"))
     known = drawn(None, 6).calibration
     other = replace(known, camera=replace(known.camera, size=(640, 480)))
     with pytest.raises(CalibrationError, match="640"):
