@@ -11,7 +11,7 @@ import numpy as np
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation.bundle import adjust_bundle, estimate_uncertainty, fit_pose
-from fpplab.characterisation.fitting import DEFAULT_LEVEL, calibration_of, model_of, settled
+from fpplab.characterisation.fitting import DEFAULT_LEVEL, calibration_of, fit_consistent_poses, model_of
 from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, ImageSize, Model, Solution
@@ -93,5 +93,5 @@ def first_estimate(
     odd: dict[str, str] = {}
     model = model_of(target, image_sizes, level, refined, limits)
     with one_blas_thread():
-        kept, (solution, sizes), _ = settled(observations, target, model, odd)
+        kept, (solution, sizes), _ = fit_consistent_poses(observations, target, model, odd)
     return JointEstimate(target, lattice, model, tuple(kept), solution, sizes), odd

@@ -120,7 +120,7 @@ def _characterise_fitted(
     missing: dict[str, str], compares_levels: bool, validates: bool,
 ) -> Characterisation:  # fmt: skip
     chosen = model.level
-    kept, fit, separate_px = settled(observations, target, model, missing)
+    kept, fit, separate_px = fit_consistent_poses(observations, target, model, missing)
     kept, fit, rejected = _without_outliers(kept, fit, model)
     if len(kept) > MIN_POSES:
         fit = fit_with_drift(kept, fit, model) or fit
@@ -206,10 +206,10 @@ def _reason_of(observation: Observation, shift_px: float) -> str:
     )
 
 
-def settled(
+def fit_consistent_poses(
     observations: Sequence[Observation], target: Target, model: Model, missing: dict[str, str]
 ) -> tuple[list[Observation], Fit, dict[str, float]]:  # fmt: skip
-    """Select the poses that are consistent, and fit them."""
+    """Leave out poses in which board or rig moved; give the others, their fit, and RMS px of each device."""
     assert model.image_sizes is not None
     kept, limits = list(observations), model.limits
     while True:

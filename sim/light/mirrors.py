@@ -28,8 +28,8 @@ class MirrorStates:
     rounding: float  # RMS of the quantisation error of the light
 
 
-def mirror_light(projector: ProjectorWorld) -> PatternLevels | None:
-    """Multiply what all effects do to the light of each mirror; None where they do nothing."""
+def product_of_mirror_effects(projector: ProjectorWorld) -> PatternLevels | None:
+    """Factor by which all effects together change the light of each mirror; None where they do nothing."""
     # returns (rows, columns)
     product: PatternLevels | None = None
     for effect in EFFECTS:
@@ -43,7 +43,7 @@ class Mirrors:
     """Mirrors of a projector, with its response and the effects on each mirror."""
 
     def __init__(self, projector: ProjectorWorld) -> None:
-        self._projector, self._factor = projector, mirror_light(projector)
+        self._projector, self._factor = projector, product_of_mirror_effects(projector)
         self._kept: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEPT_BYTES)
         self._textures: ByteLimitedCache[PatternTextures] = ByteLimitedCache(TEXTURE_BYTES)
         self._loaded: tuple[tuple[Pattern, ...], MirrorStates] | None = None

@@ -7,7 +7,7 @@ import pytest
 
 from fpplab.characterisation import DistortionModel, Observation
 from fpplab.characterisation.drift import drift_cost_mm, fit_with_drift
-from fpplab.characterisation.fitting import model_of, settled
+from fpplab.characterisation.fitting import fit_consistent_poses, model_of
 from tests.characterisation.test_judging import BENT, seen
 from tests.support.breathing_lens import breathing
 from tests.support.rigs import BOARD, CAMERA, SQUARE, observed, poses
@@ -15,7 +15,7 @@ from tests.support.rigs import BOARD, CAMERA, SQUARE, observed, poses
 
 def _fit(observations: list[Observation]):
     model = model_of(BOARD, (CAMERA.size, SQUARE.size), DistortionModel.K3)
-    kept, fit, _ = settled(observations, BOARD, model, {})
+    kept, fit, _ = fit_consistent_poses(observations, BOARD, model, {})
     return fit, fit_with_drift(kept, fit, model), model
 
 
@@ -62,6 +62,6 @@ def test_points_seen_very_well_are_no_fault_of_the_poses() -> None:
 def test_steps_that_cannot_be_told_are_not_fitted() -> None:
     """Of a twin's own frames: beside errors this small a free step leaves the equations undetermined."""
     boards, model = seen(9, 31), model_of(BOARD, (CAMERA.size, SQUARE.size), DistortionModel.K3)
-    _, (solution, sizes), _ = settled(boards, BOARD, model, {})
+    _, (solution, sizes), _ = fit_consistent_poses(boards, BOARD, model, {})
     exact = replace(sizes, camera_px=1e-6, projector_px=1e-6)
     assert fit_with_drift(boards, (solution, exact), model) is None

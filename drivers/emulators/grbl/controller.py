@@ -292,7 +292,7 @@ class GrblController:
             self._restart(broken_off=True)
             return
         self._homed_s, self.mode = None, GrblState.IDLE
-        self.drive.set_home(carriage_mm, self._policy.forces_origin)
+        self.drive.finish_homing(carriage_mm, self._policy.forces_origin)
         self._send("ok")
 
     def _send(self, line: str) -> None:

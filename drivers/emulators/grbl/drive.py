@@ -235,11 +235,11 @@ class Drive:
         legs = [(way, seek), (pull_off, seek), (pull_off, slow), (pull_off, seek)]
         return self._legs_duration_s(legs), pull_off, None
 
-    def set_home(self, carriage_mm: float, at_zero: bool) -> None:
-        """End a homing cycle: the position becomes known."""
+    def finish_homing(self, carriage_mm: float, reads_zero: bool) -> None:
+        """End a homing cycle; the axis then reads 0, or the place that the switch stands for."""
         down = self._settings.homes_down(self.axis)
         switch = -self._settings.travel_mm(self.axis) if down else 0.0
-        home = 0.0 if at_zero else switch + self._away * self._settings[27]
+        home = 0.0 if reads_zero else switch + self._away * self._settings[27]
         self._steps[self.axis] = round(home * self._settings.steps_per_mm(self.axis))
         self.carriage_mm = carriage_mm
 

@@ -19,7 +19,7 @@ from typing import TypeVar
 import numpy as np
 
 from fpplab.clouds import Cloud
-from fpplab.comparison.acceptance.fitting import Sphere, fit_plane, fit_sphere
+from fpplab.comparison.acceptance.fitting import fit_plane, fit_sphere
 from fpplab.comparison.acceptance.results import (
     Acceptance,
     BallBarTest,
@@ -35,7 +35,6 @@ from fpplab.comparison.acceptance.segmentation import (
     sphere_cap,
 )
 from fpplab.comparison.acceptance.standard import Standard
-from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError, DataError
 
 Clouds = Iterable[tuple[str, Cloud]]  # clouds in mm in the camera's frame, each after the name of its source
@@ -60,13 +59,14 @@ def verify_ball_bar(cloud: Cloud, standard: Standard, source: str) -> BallBarTes
     points = np.asarray(cloud.points, np.float64)
     radius = sum(bar.diameters_mm) / 4
     centres = find_spheres(points, normals_of(cloud), radius, 2, source)
-    fits = [_fit_sphere_cap(points, cloud, centre, radius, standard, source) for centre in centres]
+    caps = [sphere_cap(points, centre, radius, standard.evaluation, source) for centre in centres]
+    fits = [(*MeasuredFeature.fitted(cloud, cap.index, fit_sphere), cap.solid_angle_sr) for cap in caps]
     # Nothing but their size distinguishes the spheres.
     by_size = sorted(fits, key=lambda fit: fit[0].radius)
     order = sorted((0, 1), key=lambda i: bar.diameters_mm[i])
     tests = {
-        number + 1: SphereTest(number + 1, fit[0], bar.diameters_mm[number], fit[1], fit[2])
-        for number, fit in zip(order, by_size, strict=True)
+        number + 1: SphereTest(number + 1, sphere, bar.diameters_mm[number], solid_angle_sr, measured)
+        for number, (sphere, measured, solid_angle_sr) in zip(order, by_size, strict=True)
     }
     for test in tests.values():
         _refuse_other("a sphere's diameter", 2 * test.sphere.radius, test.calibrated_mm, source)
@@ -83,14 +83,6 @@ def verify_plane(cloud: Cloud, standard: Standard, source: str) -> PlaneTest:
     face = plane_face(points, coarse_plane, description.size_mm, standard.evaluation, source)
     plane, measured = MeasuredFeature.fitted(cloud, face.index, fit_plane)
     return PlaneTest(source, plane, face.area_mm2, measured)
-
-
-def _fit_sphere_cap(
-    points: Floats, cloud: Cloud, centre: Floats, radius: float, standard: Standard, source: str
-) -> tuple[Sphere, float, MeasuredFeature]:
-    cap = sphere_cap(points, centre, radius, standard.evaluation, source)
-    sphere, measured = MeasuredFeature.fitted(cloud, cap.index, fit_sphere)
-    return sphere, cap.solid_angle_sr, measured
 
 
 S = TypeVar("S")

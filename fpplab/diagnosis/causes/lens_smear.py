@@ -34,8 +34,8 @@ class LensSmearLimits(LimitsSection):
 
 def blur_beyond_depth(evidence: Evidence) -> Floats | None:
     """Square of the blur in px² at the sample's pixels, less what depth and place in the image explain."""
-    if evidence.recording is None or _wider_set(evidence) is None:
-        return None  # what blur takes is not told from what light by way of other surfaces takes
+    if evidence.recording is None or _set_with_little_blur(evidence) is None:
+        return None  # blur cannot be separated from light by way of other surfaces
     sample, limits = evidence.frames, evidence.limits.of(LensSmearLimits)
     plan, step, cloud = sample.recording.plan, sample.step, evidence.cloud
     axis = plan.axes[0]
@@ -67,8 +67,8 @@ def blur_beyond_depth(evidence: Evidence) -> Floats | None:
     return np.asarray(cv2.medianBlur(result, 5), np.float64)
 
 
-def _wider_set(evidence: Evidence) -> int | None:
-    """The finest set of the first axis that blur takes little from, but not the widest."""
+def _set_with_little_blur(evidence: Evidence) -> int | None:
+    """Number of the finest set of the first axis that blur weakens little; never that of the widest."""
     fringes, axis = evidence.plan.fringes, evidence.plan.axes[0]
     own = sorted((fringe.stripes, k) for k, fringe in enumerate(fringes) if fringe.axis == axis)
     return next((k for stripes, k in own[:0:-1] if stripes <= 0.25 * own[-1][0]), None)
@@ -105,7 +105,7 @@ def _find(evidence: Evidence, before: Sequence[Finding]) -> Iterator[Finding]:
 
 def _is_loss_by_blur(evidence: Evidence, inside: Mask) -> bool:
     """Whether wider fringes lose little contrast there, as blur of few px has it, and stray light not."""
-    sample, plan, wider = evidence.frames, evidence.plan, _wider_set(evidence)
+    sample, plan, wider = evidence.frames, evidence.plan, _set_with_little_blur(evidence)
     assert wider is not None
     finest = plan.finest_set(plan.axes[0])
     widest = sample.widest.modulation
