@@ -43,6 +43,31 @@ PLAIN: dict[str, Any] = {
     "budget": 2000,
 }
 
+PHASES: dict[str, Any] = {
+    "space": {"steps": [[3, 12], [3, 12], [3, 16]]},
+    "objectives": ["images"],
+    "constraints": {"smcd_of_start": 1.0},
+}
+FRONT: dict[str, Any] = {
+    "space": {
+        "steps": [[3, 12], [3, 12], [3, 15]],
+        "stripes": [None, [2, 32], [12, 228]],
+        "stage_mm": [-60, 60],
+    },
+    "start": {"fringes": [{**fringe, "steps": 7} for fringe in FRINGES], "stage_mm": 0.0},
+    "objectives": ["surface_smcd_um", "images"],
+    "method": {"kind": "nsga2", "population": 12},
+    "constraints": {"images": 21},
+    "budget": 600,
+}
+GRAY: dict[str, Any] = {
+    "fringes": [
+        {"kind": "gray", "axis": "x", "bits": 6, "cell_px": 19.0},
+        {"axis": "x", "stripes": 48, "steps": 4},
+    ],
+    "ranges": [{"bits": [5, 7], "cell_px": [8, 38]}, {"steps": [3, 6]}],
+}
+
 
 def study(**changes: Any) -> Study:
     """A study like `PLAIN`, with changes."""
@@ -147,3 +172,15 @@ def runner_of(
 def with_stage(travel: tuple[float, float] | None) -> RigLimits:
     """Limits of a rig whose stage travels otherwise."""
     return replace(LIMITS, stage_mm=travel)
+
+
+def scores_of(table: dict[tuple[str, int], float], **others: Any) -> tuple[Score, ...]:
+    """Scores of one candidate by artefact and seed, with changes."""
+    plain: dict[str, Any] = {
+        "images": 36, "points": 9, "smcd_um": 80.0, "smcd_floor_um": 50.0, "surface_rms_um": 1.0,
+        "completeness": 0.9, "wrong_orders": 0.0, "outliers": 0.0, "seconds": 1.0,
+    }  # fmt: skip
+    return tuple(
+        Score(artefact=name, seed=seed, surface_smcd_um=um, **{**plain, **others})
+        for (name, seed), um in table.items()
+    )
