@@ -122,6 +122,11 @@ def log_status(sentence: str) -> None:
         stderr.print(sentence, soft_wrap=True)
 
 
+def log_verdict(sentence: str) -> None:
+    if not stdout.is_terminal:  # where the result itself shows it
+        log_status(sentence)
+
+
 def print_result(result: dict[str, Any], as_json: bool, show: Callable[[], None] | None = None) -> None:
     if as_json:
         sys.stdout.write(json.dumps(result, default=json_value, allow_nan=False) + "\n")

@@ -78,13 +78,13 @@ class ConsoleObserver(Observer):
 
 
 class ScanConsole(ConsoleObserver):
-    """Also says whether to believe a scan's points, before its report is drawn."""
+    """Also logs a scan's verdict, before its report is drawn."""
 
     def result(self, result: object) -> None:
         from fpplab.results.scan import ScanResult
 
         if isinstance(result, ScanResult) and not result.diagnosis.is_useless:
-            self.message(result.diagnosis.sentence)
+            console.log_verdict(result.diagnosis.sentence)
 
 
 class SearchConsole(ConsoleObserver):

@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from fpplab.cli import console
 from fpplab.devices import CameraSettings, Frame
 from fpplab.sessions.session import Session
 from tests.support.commands import Command, Outcome
@@ -76,3 +78,15 @@ def test_limits_of_an_expert_are_used_and_said(fpplab: Command, tmp_path: Path) 
     refused = fpplab("reconstruct", tmp_path / "session", *options, "--limits", limits)
     assert refused.code == 2
     assert "ambient: unknown key 'most'" in refused.err
+
+
+@pytest.mark.parametrize("in_terminal", [True, False])
+def test_a_terminal_shows_a_verdict_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_terminal: bool
+) -> None:
+    monkeypatch.setattr(console, "stdout", Console(force_terminal=in_terminal, highlight=False))
+    console.log_verdict("verdict: good: nothing is wrong")
+    console.print_result({"verdict": "good"}, as_json=False)
+    shown = capsys.readouterr()
+    assert shown.out == "verdict: good\n"
+    assert shown.err == ("" if in_terminal else "verdict: good: nothing is wrong\n")

@@ -127,7 +127,7 @@ def _scan_by_service(rig: str, order: ScanOrder, is_viewed: bool, json: bool) ->
     status = _follow(client, scan)
     if status["error"] or status["state"] != "finished":
         raise client.fault_of(status)
-    console.log_status(status["sentence"])
+    console.log_verdict(status["sentence"])
     console.print_result(status["result"], json)
     return True
 
