@@ -156,8 +156,9 @@ class Plan(Document):
     """
     masks: MaskRules = MaskRules()
     """Which pixels are measured."""
-    order_vote: dict[str, int] | None = None
-    """Of version 0.1, and without effect: orders that are in doubt are left out, not voted on."""
+    order_vote: dict[Literal["window"], Annotated[int, Field(ge=3, le=51)]] | None = None
+    """Side in px of the window of a vote in version 0.1. It is still read, and has no effect: pixels whose
+    fringe order is in doubt are left out."""
     filter: FilterRules | None = None
     """Which points are removed as lying on no surface, `{}` for the usual rules; by default none."""
     response: Curve | None = None

@@ -76,6 +76,8 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         ("exposure_s: 2e-2", "exposure_s: 61", "'exposure_s' is 61: should be less than or equal to 60"),
         ("exposure_s: 2e-2", "exposure_s: 20 ms", "'exposure_s' is '20 ms': should be a valid number"),
         ("exposure_s: 2e-2", "exposure: 0.02", "unknown key 'exposure'"),
+        ("exposure_s: 2e-2", "order_vote: {windows: 5}", "'order_vote.windows"),
+        ("exposure_s: 2e-2", "order_vote: {window: 1}", "'order_vote.window' is 1: "),
         (
             "exposure_s: 2e-2",
             "trigger: loose",
