@@ -34,7 +34,7 @@ class RayTracedShape:
         return np.asarray(self._scene.run(*_rays(centre, directions), query="INTERSECT"), np.int64)
 
     def depth(self, centre: Floats, directions: Floats) -> Floats:
-        # centre (3,) mm; directions (N, 3); returns (N,) mm
+        # centre (3,) mm, or (N, 3) mm for each ray; directions (N, 3); returns (N,) mm
         # For a miss the bindings return the ray's initial length, which is huge.
         hits = self._scene.run(*_rays(centre, directions), query="DISTANCE")
         return np.where(hits < 1e30, hits, np.inf).astype(np.float64)
@@ -43,8 +43,16 @@ class RayTracedShape:
         # centre (3,) mm; points (N, 3) mm; returns (N,)
         rays = points - centre
         lengths = np.linalg.norm(rays, axis=1)
-        # A surface that is nearer by 0.02 mm or less is the point's own: rays are of single precision.
-        return np.asarray(self.depth(centre, rays / lengths[:, None]) >= lengths - 0.02)
+        directions, first = rays / lengths[:, None], np.zeros(len(rays))
+        # Rays are of single precision: those of a far lamp would hit the point's own surface a little earlier
+        # or later, so they start where they come near the mesh.
+        if lengths.size and np.spacing(np.float32(lengths.max())) > 1e-3:
+            middle = self.triangles.mean(axis=(0, 1))
+            radius = float(np.linalg.norm(self.triangles - middle, axis=-1).max())
+            first = np.maximum(lengths - radius - np.linalg.norm(points - middle, axis=1), 0.0)
+        starts = centre + first[:, None] * directions
+        # A surface that is nearer by 0.02 mm or less is the point's own.
+        return np.asarray(self.depth(starts, directions) >= lengths - first - 0.02)
 
 
 def _rays(centre: Floats, directions: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -233,6 +233,17 @@ def test_without_calibration_the_front_counts_and_the_result_says_so() -> None:
     assert result.completeness > 0.95
 
 
+@pytest.mark.parametrize("distance_mm", [500.0, 1e5])
+def test_grazing_light_of_a_far_lamp_is_not_shaded_by_the_lit_face(distance_mm: float) -> None:
+    convex = trimesh.creation.icosphere(2, 60.0).apply_translation([10.0, 0.0, 450.0])
+    shape = RayTracedShape(convex)
+    samples, faces = trimesh.sample.sample_surface(convex, 50_000, seed=2)
+    towards = np.array([0.95, 0.25, -0.19]) / np.linalg.norm([0.95, 0.25, -0.19])
+    lamp = np.array([0.0, 0.0, 450.0]) + distance_mm * towards
+    lit = shape.unoccluded(lamp, samples)
+    assert lit[shape.inclination_deg(lamp, samples, faces) < 89.0].all()
+
+
 def test_what_lies_outside_of_the_images_is_told() -> None:
     aside = placed("pyramid").apply_translation([90.0, 0.0, 0.0])
     result = compare(perfect_cloud(aside), aside, CALIBRATION, density=2.0)
