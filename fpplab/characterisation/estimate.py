@@ -12,7 +12,6 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation.bundle import adjust_bundle, estimate_uncertainty, fit_pose
 from fpplab.characterisation.fitting import DEFAULT_LEVEL, calibration_of, fit_consistent_poses, model_of
-from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, ImageSize, Model, Solution
 from fpplab.characterisation.problem import without_poses
@@ -87,11 +86,10 @@ def first_estimate(
     lattice: Lattice,
     level: DistortionModel = DEFAULT_LEVEL,
     refined: bool = True,
-    limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> tuple[JointEstimate, dict[str, str]]:
     # image_sizes (width, height) px
     odd: dict[str, str] = {}
-    model = model_of(target, image_sizes, level, refined, limits)
+    model = model_of(target, image_sizes, level, refined)
     with one_blas_thread():
         kept, (solution, sizes), _ = fit_consistent_poses(observations, target, model, odd)
     return JointEstimate(target, lattice, model, tuple(kept), solution, sizes), odd

@@ -90,11 +90,11 @@ class Canvas:
         if self._kept and not (bulky and self._bytes > MAX_RECORDING_BYTES):
             self._kept.log(entity, archetype, static=static)
 
-    def picture(self, entity: str, pixels: NDArray[np.uint8], *, static: bool = False) -> None:
+    def picture(self, entity: str, pixels: NDArray[np.uint8]) -> None:
         # pixels (h, w)
         packed = self._rr.Image(np.ascontiguousarray(pixels)).compress(jpeg_quality=90)
         self._bytes += pixels.size // 8
-        self.log(entity, packed, static=static, bulky=not static)
+        self.log(entity, packed, bulky=True)
 
     def map(self, entity: str, values: Map, scale: ColourScale, *, static: bool = False) -> None:
         # values (h, w)
@@ -110,15 +110,13 @@ class Canvas:
     def bar(self, entity: str, scale: ColourScale) -> None:
         self.log(entity, self._rr.Image(scale.bar()), static=True)
 
-    def cloud(
-        self, entity: str, points: NDArray[np.floating[Any]], colours: NDArray[np.uint8], static: bool = True
-    ) -> None:
+    def cloud(self, entity: str, points: NDArray[np.floating[Any]], colours: NDArray[np.uint8]) -> None:
         # points (N, 3) mm; colours (N, 3)
         step = max(1, math.ceil(len(points) / MAX_POINTS))
         shown = self._rr.Points3D(
             points[::step], colors=colours[::step], radii=self._rr.Radius.ui_points(1.2)
         )
-        self.log(entity, shown, static=static)
+        self.log(entity, shown, static=True)
 
     def value(self, entity: str, value: float) -> None:
         self.log(entity, self._rr.Scalars(value))

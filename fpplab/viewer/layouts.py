@@ -12,11 +12,11 @@ def image(name: str, origin: str) -> Any:
     return rrb.Spatial2DView(origin=origin, name=name, background=BACKGROUND)
 
 
-def scene(name: str, contents: Sequence[str], origin: str = "/world") -> Any:
+def scene(name: str, contents: Sequence[str]) -> Any:
     import rerun.blueprint as rrb
 
     return rrb.Spatial3DView(
-        origin=origin,
+        origin="/world",
         contents=list(contents),
         name=name,
         background=BACKGROUND,
