@@ -93,7 +93,7 @@ class GenicamCamera(Camera):
         return DeviceTimeoutError(self.name, operation, problem, "close it and open it again")
 
     def _no_frame(self, trigger: Trigger, reason: str) -> DeviceTimeoutError:
-        cable = "check the trigger cable; 'fpplab check' tells whether the camera was not ready yet"
+        cable = "check the trigger cable; 'fpplab check' shows whether the camera was not ready yet"
         remedy = cable if trigger == "hardware" else "allow more time"
         return DeviceTimeoutError(self.name, "read", reason, remedy)
 
@@ -225,7 +225,7 @@ class GenicamCamera(Camera):
             raise CapabilityError(
                 self.name,
                 "open",
-                f"the shutter is {shutter}, but the camera does not tell its readout time",
+                f"the shutter is {shutter}, but the camera does not state its readout time",
                 "use a camera with a global shutter",
             )
         readout_s = float(readout_us or 0.0) / US_PER_S

@@ -99,7 +99,7 @@ class GentlCamera(GenicamCamera):
     def _read_caps(self) -> CameraCaps:
         caps = super()._read_caps()
         if not caps.bits:
-            formats = ", ".join(self._features.choices(named.PIXEL_FORMAT)) or "not told"
+            formats = ", ".join(self._features.choices(named.PIXEL_FORMAT)) or "not stated"
             raise CapabilityError(
                 self.name,
                 "open",

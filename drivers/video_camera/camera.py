@@ -270,7 +270,7 @@ class VideoCamera(FreeRunningCamera):
         period_s = self._device.period_s()
         if period_s is None:
             raise CapabilityError(
-                self.name, "open", "it does not tell its frame rate", "use a camera whose driver tells it"
+                self.name, "open", "it does not state its frame rate", "use a camera whose driver states it"
             )
         self._period_s = period_s
         return CameraCaps(

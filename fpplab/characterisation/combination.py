@@ -150,7 +150,7 @@ def _require_equal(what: str, stated: Sequence[object], sources: Sequence[str]) 
         if value != known[0][1]:
             raise CalibrationError(
                 f"{what.format(source)} is {value}, but that of {known[0][0]} is {known[0][1]}; combine "
-                "calibrations of one rig, characterised alike"
+                "calibrations of one rig, characterised in the same way"
             )
 
 

@@ -191,7 +191,7 @@ def _wound_alike(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
         return mesh
     if turned.volume < 0.0:
         turned.invert()
-    _log.warning("%s: its faces are not wound alike; they are turned outwards", path)
+    _log.warning("%s: its faces are not wound consistently; they are turned outwards", path)
     return turned
 
 

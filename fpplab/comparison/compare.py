@@ -383,8 +383,8 @@ def _check_winding(mesh: trimesh.Trimesh) -> None:
     share = float(np.mean(uses[edge] > 1))
     if share > LIMITS.max_turned_share:
         raise DataError(
-            f"true mesh: its faces are not wound alike (across {100 * share:.0f} % of the edges), so that it "
-            "has no outer side; unify its normals and export it again"
+            f"true mesh: its faces are not wound consistently (across {100 * share:.0f} % of the edges), so "
+            "that it has no outer side; unify its normals and export it again"
         )
 
 

@@ -126,6 +126,6 @@ class FreeRunningCamera(Camera):
             raise CapabilityError(
                 self.name,
                 "read",
-                "its frames do not tell when they were exposed",
+                "its frames do not state when they were exposed",
                 "use a camera whose driver stamps frames with the monotonic clock, and not ahead of it",
             )

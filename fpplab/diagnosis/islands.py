@@ -49,7 +49,7 @@ def describe_unknown_orders(island: NDArray[np.int32]) -> str | None:
     """Say what is unknown of the islands' orders; None where all are known."""
     numbers = np.unique(island[island != 0])
     if len(numbers) == 0:
-        return "neighbours tell no connected surface"
+        return "neighbours form no connected surface"
     unknown = numbers[numbers < 0]
     if len(unknown) == 0:
         return None
@@ -58,4 +58,4 @@ def describe_unknown_orders(island: NDArray[np.int32]) -> str | None:
     text = f"{len(unknown)} of {islands}, with {share:.0%} of the pixels, have an unknown fringe order"
     if len(numbers) > 1:
         text += ", so that heights between them are unknown"
-    return f"{text}; a narrower range of depths, or a point of each by --known, tells them"
+    return f"{text}; a narrower range of depths, or a point of each by --known, determines them"

@@ -248,7 +248,9 @@ def _with_islands(judged: Diagnosis, decoded: Decoded) -> Diagnosis:
     if decoded.island is None and heights is None:
         return judged
     orders = None if decoded.island is None else describe_unknown_orders(decoded.island)
-    by_neighbours = "neighbours told the fringe orders" if decoded.island is not None and not orders else None
+    by_neighbours = (
+        "fringe orders come from neighbours" if decoded.island is not None and not orders else None
+    )
     verdict = Verdict.UNVERIFIED if judged.verdict is Verdict.GOOD else judged.verdict
     return replace(
         judged,

@@ -74,7 +74,7 @@ def decode(
     recording : Recording
         All frames of a plan.
     progress : callable
-        Told the share done, 0 … 1; what it raises ends the work.
+        Called with the share done, 0 … 1; what it raises ends the work.
     bounds : mapping of str to PossibleCoordinates or PredictedCoordinate, optional
         By axis, which projector coordinates each camera pixel may have, as calibration and depth range tell;
         by default all of the projector's. Guided unwrapping needs them. A plan's guided axis needs its

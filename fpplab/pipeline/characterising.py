@@ -57,7 +57,7 @@ def characterise_sessions(
     target : Target
         The board.
     progress : callable
-        Told the share done, 0 … 1.
+        Called with the share done, 0 … 1.
     level : DistortionModel or str
         Which distortion is fitted; `auto` takes k3 and gives the errors of all.
     refine_board : bool, optional

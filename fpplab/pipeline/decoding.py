@@ -105,7 +105,7 @@ def spatial_axes(recording: Recording) -> tuple[Axis, ...]:
     if not unwrapping_methods()[recording.plan.unwrapping].spatial:
         raise ConfigError(
             f"--known: is for plans with 'unwrapping: spatial', and {recording.name} has "
-            f"'{recording.plan.unwrapping}', which tells all orders; leave it out"
+            f"'{recording.plan.unwrapping}', which determines all orders; leave it out"
         )
     return recording.plan.unwrapped_axes
 

@@ -86,7 +86,7 @@ def _figures(comparison: Comparison) -> ReportTable:
         ("Surface P95", f"{number_text(comparison.surface_p95_um)} µm"),
         ("Completeness", percent_text(comparison.completeness)),
         ("Points compared", count_text(comparison.points)),
-        ("Points beside the object", count_text(comparison.off_part)),
+        ("Points outside the object", count_text(comparison.off_part)),
         (f"Outliers, beyond {comparison.outlier_mm:g} mm", count_text(comparison.outliers)),
         ("Scale", scale),
         ("SMCD", f"{number_text(comparison.smcd_um)} µm"),

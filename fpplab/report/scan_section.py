@@ -220,7 +220,7 @@ def error_figure(name: str, cloud: Cloud, comparison: Comparison) -> ReportFigur
     )
     caption = (
         f"Signed distance of every compared point from the true surface; red is outside the "
-        f"true shape. {count_text(comparison.off_part)} points beside the object are left out."
+        f"true shape. {count_text(comparison.off_part)} points outside the object are left out."
     )
     drawn = error_map(cloud, comparison.distances_mm, comparison.counted)
     return ReportFigure.of(drawn, alt, caption, wide=True)

@@ -54,7 +54,7 @@ def scan_verdict(scan: ScanRecord) -> PageVerdict:
         return replace(PageVerdict.of(scan.diagnosis, scan.name), thumbnail=picture)
     if scan.cloud is None:
         return PageVerdict(scan.name, "none", "Not reconstructed", "The session holds no cloud.")
-    reason = "A cloud alone does not tell; give its session."
+    reason = "A cloud alone does not show it; give its session."
     return PageVerdict(scan.name, "none", "Not judged", reason, thumbnail=picture)
 
 

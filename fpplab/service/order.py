@@ -1,4 +1,4 @@
-"""What a client orders, and what it is told of it."""
+"""What a client orders, and what the service reports of it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ScanOrder(Document):
     allow: tuple[ConfirmationRequired, ...] = ()
     """What is agreed to in advance; from this computer alone."""
     rig: str | None = None
-    """What messages and records call the rig's file; by default as the service was told."""
+    """What messages and records call the rig's file; by default as the service was started with it."""
     folder: str | None = None
     """Folder that file names are relative to, from this computer alone; by default the service's."""
 

@@ -45,7 +45,7 @@ def session_format(path: Path) -> int:
 def check_format(path: Path) -> None:
     version = session_format(path)
     if version > 1 and not (path / CHECKSUMS).is_file():
-        raise DataError(f"{path}: {CHECKSUMS} is gone; `fpplab session repair` tells what is lost")
+        raise DataError(f"{path}: {CHECKSUMS} is gone; `fpplab session repair` lists what is lost")
     recorded = {record.file for record in recorded_files(path)}
     for name in (FORMAT, PLAN, RIG):
         if name in recorded and not (path / name).exists():

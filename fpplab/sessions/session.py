@@ -335,7 +335,7 @@ class Session:
         verify : bool
             Whether checksums are compared.
         progress : callable
-            Told the share done, 0 … 1.
+            Called with the share done, 0 … 1.
 
         Returns
         -------
@@ -367,7 +367,7 @@ class Session:
         verify : bool
             Whether checksums are compared with the journal's.
         progress : callable
-            Told the share done, 0 … 1.
+            Called with the share done, 0 … 1.
 
         Returns
         -------

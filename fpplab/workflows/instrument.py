@@ -124,7 +124,7 @@ class Instrument:
         report : bool
             Whether `report.html` is written into the session.
         observer : Observer, optional
-            Told of each stage: `exposed` comes when the last exposure is over, `result` with the points.
+            Notified of each stage: `exposed` comes when the last exposure is over, `result` with the points.
 
         Returns
         -------

@@ -143,7 +143,7 @@ def reconstruct(
     calibration : Calibration, path or str
         Of the rig that took it.
     progress : callable
-        Told the share done, 0 … 1.
+        Called with the share done, 0 … 1.
     filtering : bool, optional
         Whether points that lie on no surface are removed; by default as the session's plan says. A plan
         without rules means the usual ones.

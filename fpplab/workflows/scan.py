@@ -133,7 +133,7 @@ def scan(
     report : bool
         Whether `report.html` is written into the session.
     progress : callable
-        Told the share done, 0 … 1.
+        Called with the share done, 0 … 1.
 
     Returns
     -------

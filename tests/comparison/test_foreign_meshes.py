@@ -90,7 +90,7 @@ def test_faces_wound_this_way_and_that(tmp_path: Path) -> None:
     assert mesh.volume == pytest.approx(part().volume, rel=1e-4)
     beside = part().vertices + [50.0, 0.0, 0.0]
     two = turned(trimesh.Trimesh([*part().vertices, *beside], [*part().faces, *(part().faces + len(beside))]))
-    with pytest.raises(DataError, match="not wound alike"):
+    with pytest.raises(DataError, match="not wound consistently"):
         compare(Cloud(points(part()).astype(np.float32)), two)
 
 

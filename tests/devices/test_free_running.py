@@ -100,7 +100,7 @@ def test_a_frame_with_another_exposure_is_dropped(camera: Scripted) -> None:
 def test_a_time_ahead_of_the_clock_is_refused(camera: Scripted) -> None:
     camera.arm(1)
     camera.waiting.extend(frames(5.0))
-    with pytest.raises(CapabilityError, match="do not tell when they were exposed"):
+    with pytest.raises(CapabilityError, match="do not state when they were exposed"):
         camera.read(0.1)
 
 

@@ -240,7 +240,7 @@ def test_a_shutter_that_can_be_global_is_at_once(made: Make) -> None:
 
 
 def test_a_rolling_shutter_without_a_readout_time_is_refused(made: Make) -> None:
-    with pytest.raises(CapabilityError, match="does not tell its readout time"):
+    with pytest.raises(CapabilityError, match="does not state its readout time"):
         made(without("SensorReadoutTime"))
 
 

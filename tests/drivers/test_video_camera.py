@@ -132,7 +132,7 @@ def test_a_device_that_is_no_camera_is_refused(opened: Open) -> None:
 def test_frames_without_a_time_are_refused(opened: Open, what: str, value: Any) -> None:
     camera, _, _ = opened(lambda end: setattr(end, what, value))
     camera.configure(SHORT)
-    with pytest.raises(CapabilityError, match="do not tell when they were exposed"):
+    with pytest.raises(CapabilityError, match="do not state when they were exposed"):
         camera.snap()
 
 

@@ -52,7 +52,7 @@ def _find_fringes_elsewhere(evidence: Evidence, _: Sequence[Finding]) -> Iterato
     text = (
         f"at {guided.share_off:.0%} of the pixels the fringes along {evidence.plan.guided_axis} lie more "
         f"than {GUIDED_AXIS.max_off_turns:g} periods from where the calibration puts them (at most "
-        f"{GUIDED_AXIS.max_off_share:.0%}), so that nothing tells their orders"
+        f"{GUIDED_AXIS.max_off_share:.0%}), so that nothing determines their orders"
     )
     yield Finding(STALE_CALIBRATION, text, STALE_CALIBRATION.useless_from)
 

@@ -73,7 +73,7 @@ class PlanCheck:
             mistake, remedy = self.better.mistake, self.better.remedy
             if self.runner_up is not None:
                 mistake += f", or {self.runner_up.mistake}; both fit"
-                remedy = "find out how the images were taken: the images alone do not tell which"
+                remedy = "find out how the images were taken: the images alone do not show which"
             return (
                 f"the plan does not fit its images: {mistake} (the sets disagree by "
                 f"{_shown(self.disagreement)} times their noise, and then by "

@@ -30,5 +30,5 @@ class Guided(UnwrappingMethod):
         return (
             f"guided unwrapping in this depth range needs a set, or a difference of two, of at most "
             f"{max_stripes:.3g} stripes, and the coarsest here is {coarsest:g}; add one or narrow the "
-            "depth range" + ("; or let neighbours tell orders: 'spatial'" if len(stripes) == 1 else "")
+            "depth range" + ("; or take orders from neighbours: 'spatial'" if len(stripes) == 1 else "")
         )

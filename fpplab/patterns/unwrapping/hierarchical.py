@@ -20,7 +20,7 @@ class Hierarchical(UnwrappingMethod):
             f"hierarchical unwrapping needs a set of at most 1 stripe, and the fewest here is {coarsest:g}; "
             f"add one, for example stripes 1, {math.sqrt(stripes[-1]):.3g}, {stripes[-1]:g}"
             + (
-                "; of images that are there already, neighbours tell orders: 'spatial'"
+                "; of images that are there already, neighbours determine the orders: 'spatial'"
                 if len(stripes) == 1
                 else ""
             )

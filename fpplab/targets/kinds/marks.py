@@ -44,7 +44,7 @@ class ReferenceMarks(BoardLayout):
         if self._room() < (widest := (0.5 + LIMITS.circle_rim) * self.diameter_mm):
             raise ValueError(
                 f"'marker_mm' is {self.marker_mm:g}: leaves {self._room():g} mm for circles, "
-                f"which need {widest:g} mm beside their centres"
+                f"which need {widest:g} mm from their centres"
             )
         super().check()
 
