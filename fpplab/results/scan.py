@@ -5,23 +5,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fpplab.calibration.model import Calibration
-from fpplab.clouds import Cloud
-from fpplab.core.depth import DepthRange
 from fpplab.core.notebook import html_table
-from fpplab.diagnosis import Diagnosis
 from fpplab.diagnosis.islands import island_counts
-from fpplab.phase import Decoded
 from fpplab.phase.precision import uncertain_orders
 from fpplab.pipeline.measuring import Reconstruction
 from fpplab.reconstruction.filtering import count_removed
 from fpplab.reconstruction.points import cost_at_edges
 from fpplab.results.provenance import Provenance
-from fpplab.sessions.session import Session
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ScanResult:
+class ScanResult(Reconstruction):
     """Points of a scan, whether to believe them, and where they come from.
 
     It unpacks: `decoded, cloud = reconstruct(session, calibration)`.
@@ -52,12 +46,6 @@ class ScanResult:
         Where the report is written; None where none is.
     """
 
-    session: Session
-    calibration: Calibration
-    decoded: Decoded | None
-    cloud: Cloud | None
-    depth: DepthRange | None
-    diagnosis: Diagnosis
     provenance: Provenance
     seconds: float
     images: int | None = None
