@@ -29,7 +29,7 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.progress import ignore
 from fpplab.devices import CameraSettings
-from fpplab.patterns.fringes import Pattern
+from fpplab.patterns.fringes import Pattern, uniform_patterns
 from fpplab.patterns.mosaic import Bayer
 from fpplab.targets import Target
 from sim.appearance import Appearance
@@ -196,10 +196,20 @@ class Twin:
         slopes *= np.float32(scale.slope) * (levels < scale.saturated)[..., None]
         return levels, slopes
 
-    def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
-        """Compute what the camera sees of another item of the world on average."""
-        # returns (n, h, w)
-        return self._expected_levels(SceneState(item), patterns, settings)
+    def expected_of_greys(
+        self, item: str, greys: Floats, settings: CameraSettings
+    ) -> Iterator[NDArray[np.float32]]:
+        """Compute what the camera sees on average of another item under uniform grey levels."""
+        # greys (L,), as shares of white; yields L pictures (h, w). Light is linear: two pictures serve all.
+        self.world.item(item)
+        projector, setup = self.world.projector, SceneState(item)
+        ends = tuple(uniform_patterns([0, 255], projector.size))
+        dark, white = (self._irradiance(setup, ends, n) for n in range(2))
+        shares, sensor = self._filter(item), SensorModel.of(self.world)
+        light = projector.response.apply(np.concatenate([[0.0, 1.0], greys]))
+        for share in ((light[2:] - light[0]) / (light[1] - light[0])).tolist():
+            irradiance = dark + np.float32(share) * (white - dark)
+            yield sensor.expected(irradiance if shares is None else irradiance * shares, settings)
 
     def expected_part(
         self,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fpplab.core.conventions import Floats, Image, Mask, full_scale
+from fpplab.core.conventions import Floats, Image, Map, Mask, full_scale
 from fpplab.core.errors import CalibrationError
 from fpplab.patterns.limits import PATTERN_LIMITS as LIMITS
 from fpplab.patterns.response import Region, Response, fit_response
@@ -20,7 +20,7 @@ GRID = 3  # regions along each side of the image (chosen)
 MEAN, NOISE, SPREAD, WHITE = range(4)  # rows of the result of `statistics`
 
 
-def statistics(image: Image, bits: int) -> Floats:
+def statistics(image: Image | Map, bits: int) -> Floats:
     """Compute mean, noise, variance and saturation of each region of a frame."""
     # image (height, width); returns (4, GRID²)
     return np.stack([_of_region(part / full_scale(bits)) for part in _cut_into_regions(image)], axis=1)
@@ -31,7 +31,7 @@ def _of_region(levels: Floats) -> Floats:
     return np.array([levels.mean(), noise, levels.var(), np.mean(levels >= 1.0)])
 
 
-def _cut_into_regions(image: Image) -> list[Image]:
+def _cut_into_regions(image: Image | Map) -> list[Image | Map]:
     height, width = image.shape
     rows, columns = (np.linspace(0, side, GRID + 1).astype(int) for side in (height, width))
     return [
@@ -50,7 +50,7 @@ class GreyLevelImages:
     bits: int  # depth of the frames
 
 
-def pixels_of_regions(image: Image) -> Floats:
+def pixels_of_regions(image: Image | Map) -> Floats:
     # image (height, width); returns (GRID²,)
     return np.array([float(part.size) for part in _cut_into_regions(image)])
 

@@ -430,10 +430,19 @@ def test_only_a_board_can_be_matched_and_only_bodies_have_a_mesh(twin: Twin) -> 
     with pytest.raises(ConfigError, match=r"'items\.card' is no board; there are board"):
         _twin(_nominal(), "card")
     with pytest.raises(ConfigError, match="no item 'cup'"):
-        twin.expected_of("cup", _patterns(twin), SETTINGS)
+        next(twin.expected_of_greys("cup", np.ones(1), SETTINGS))
     with pytest.raises(ConfigError, match="is flat: only artefacts and parts have a mesh"):
         twin.mesh("card")
-    assert twin.expected_of("card", _patterns(twin), SETTINGS).max() > 1000
+
+
+def test_pictures_of_greys_are_those_of_their_patterns(twin: Twin) -> None:
+    greys, size = np.array([0.0, 64.0, 200.0, 255.0]) / 255, twin.world.projector.size
+    patterns = uniform_patterns([0, 64, 200, 255], size)
+    pixels = tuple(index.ravel() for index in np.indices(twin.world.camera.size[::-1])[:, ::7, ::7])
+    seen = twin.expected_part("card", twin.pose_of("card"), patterns, SETTINGS, (pixels[0], pixels[1]))
+    pictures = list(twin.expected_of_greys("card", greys, SETTINGS))
+    assert seen.max() > 1000
+    np.testing.assert_allclose([picture[pixels] for picture in pictures], seen, rtol=1e-5, atol=1e-3)
 
 
 def test_textures_of_compared_poses_are_kept_from_one_set_of_parameters_to_the_next(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache
@@ -23,7 +23,7 @@ from fpplab.core.conventions import Floats, Image, Lattice, Map, PixelIndices, f
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.mosaic import Bayer, colour_factors
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
@@ -204,6 +204,14 @@ class PlaneTwin:
 
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         return self._seen(self.pose_of(item), patterns, settings, board=False)
+
+    def expected_of_greys(
+        self, item: str, greys: Floats, settings: CameraSettings
+    ) -> Iterator[NDArray[np.float32]]:
+        levels = np.rint(255 * greys).astype(int).tolist()
+        yield from self.expected_of(
+            item, uniform_patterns(levels, self._now.calibration.projector.size), settings
+        )
 
     def expected_part(
         self,

@@ -16,7 +16,6 @@ from fpplab.core.conventions import Floats, full_scale
 from fpplab.core.errors import CalibrationError
 from fpplab.devices import CameraSettings
 from fpplab.patterns.curve import Curve
-from fpplab.patterns.fringes import Pattern, uniform_patterns
 from fpplab.patterns.response import Response
 from fpplab.patterns.response_fit import GRID, MEAN, pixels_of_regions, statistics
 from sim.parameters import TwinParameters, normalised_response
@@ -30,7 +29,6 @@ class GammaLimits:
     max_epochs: int = 10  # evaluations of the twin (chosen)
     max_sum_of_squares: float = 0.002  # of levels as shares of full scale (the paper's)
     min_gain: float = 1e-9  # of the sum of squares (numerical)
-    images: int = 8  # that are computed at a time (chosen, for memory)
 
 
 LIMITS = GammaLimits()
@@ -138,30 +136,22 @@ class GreyCard:
     def levels(self, shown: Floats) -> Floats:
         """Give the mean levels that the twin's camera sees of uniform grey-level images."""
         # shown (L,); returns (L,)
-        levels_8_bit = [round(255 * level) for level in shown.tolist()]
-        return self._mean_levels(
-            uniform_patterns(levels_8_bit, self.twin.parameters.calibration.projector.size)
-        )
-
-    def dark_level(self) -> float:
-        """Give the mean level without the projector's light."""
-        black = replace(self.twin.parameters, response=Curve(a=1.0, b=0.0, g=1.0))
-        return float(self.with_parameters(black).levels(np.zeros(1))[0])
-
-    def _mean_levels(self, patterns: list[Pattern]) -> Floats:
         chosen = np.zeros(GRID**2, bool)
         for region in self.response.regions:
             chosen[region.row * GRID + region.column] = True
         chosen |= not chosen.any()
         means = []
-        for first in range(0, len(patterns), LIMITS.images):
-            some = patterns[first : first + LIMITS.images]
-            for levels in self.twin.expected_of(self.item, some, self.settings):
-                image = levels / full_scale(self.settings.bits)
-                weight = pixels_of_regions(image)[chosen]
-                # The image is in shares of full scale already; the full scale of one bit is 1.
-                means.append(statistics(image, 1)[MEAN, chosen] @ weight / weight.sum())
+        for levels in self.twin.expected_of_greys(self.item, np.rint(255 * shown) / 255, self.settings):
+            image = levels / full_scale(self.settings.bits)
+            weight = pixels_of_regions(image)[chosen]
+            # The image is in shares of full scale already; the full scale of one bit is 1.
+            means.append(statistics(image, 1)[MEAN, chosen] @ weight / weight.sum())
         return np.array(means)
+
+    def dark_level(self) -> float:
+        """Give the mean level without the projector's light."""
+        black = replace(self.twin.parameters, response=Curve(a=1.0, b=0.0, g=1.0))
+        return float(self.with_parameters(black).levels(np.zeros(1))[0])
 
 
 def _normalised_response(response: Response) -> Curve:
