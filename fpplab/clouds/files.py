@@ -163,8 +163,21 @@ def _read_mesh(path: Path) -> trimesh.Trimesh:
         raise DataError(f"{path}: has corners that are not finite; export it again")
     import trimesh  # half a second that measuring does not need
 
+    if kind == "stl":
+        _warn_of_steps(path, vertices.astype(np.float32))
     _warn_of_size(path, vertices)
     return _wound_alike(trimesh.Trimesh(vertices, faces), path)
+
+
+def _warn_of_steps(path: Path, points: NDArray[Any]) -> None:
+    """Warn of points (N, 3) in 32 bits, so far from 0 that these round them."""
+    reach = np.abs(points.min(axis=0) + points.max(axis=0)).max() / 2.0 if len(points) else 0.0
+    if points.dtype == np.float32 and reach > FAR_MM:
+        _log.warning(
+            "%s: its coordinates have steps of %.2g mm so far from 0; write them as text or double",
+            path,
+            np.spacing(np.float32(reach)),
+        )
 
 
 def _warn_of_size(path: Path, points: Floats) -> None:
@@ -391,22 +404,32 @@ def _cloud(
     if points.shape != (len(points), 3) or any(len(values) != len(points) for values in known.values()):
         return Cloud(points, size=size, **known)  # which refuses it
     measured = np.isfinite(points).all(axis=1) & points.any(axis=1)
+    why = "0 0 0 or not finite"
+    if (placeholder := _placeholder(points[measured])) is not None:
+        measured &= (points != placeholder).any(axis=1)
+        why = f"{' '.join(f'{value:g}' for value in placeholder)}, {why}"
     invalid = len(points) - int(np.count_nonzero(measured))
     if invalid and invalid == len(points):
-        raise ValueError(f"all of its {invalid} points are 0 0 0 or not finite")
+        raise ValueError(f"all of its {invalid} points are {why}")
     if invalid:
-        _log.warning(
-            "%s: %d points of %d are 0 0 0 or not finite; they are left out", path, invalid, len(points)
-        )
+        _log.warning("%s: %d points of %d are %s; they are left out", path, invalid, len(points), why)
         points, known = points[measured], {name: values[measured] for name, values in known.items()}
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0 if len(points) else np.zeros(3)
-    if points.dtype == np.float32 and np.abs(middle).max() > FAR_MM:
-        _log.warning(
-            "%s: its coordinates have steps of %.2g mm so far from 0; write them as double",
-            path,
-            np.spacing(np.float32(np.abs(middle).max())),
-        )
+    _warn_of_steps(path, points)
     _warn_of_size(path, points)
     origin = np.where(np.abs(middle) > FAR_MM, np.rint(middle), 0.0)
     near = np.ascontiguousarray(points - origin if origin.any() else points, np.float32)
     return Cloud(near, size=size, origin_mm=tuple(origin.tolist()), **known)
+
+
+def _placeholder(points: NDArray[Any], drawn: int = 4096, min_repeats: int = 20) -> NDArray[Any] | None:
+    """Find the point that a program wrote wherever it measured none, such as -9999 -9999 -9999."""
+    # In a sample it comes often while others hardly repeat, which tells it from points that are rounded.
+    sample = points
+    if len(points) > drawn:
+        sample = points[np.random.default_rng(0).integers(len(points), size=drawn)]
+    values, repeats = np.unique(sample, axis=0, return_counts=True)
+    if len(values) < 2:
+        return None
+    *_, second, first = np.sort(repeats)
+    return values[np.argmax(repeats)] if first >= max(min_repeats, 5 * second) else None

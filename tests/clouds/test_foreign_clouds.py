@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
-from fpplab.clouds import load_cloud, save_cloud
+from fpplab.clouds import load_cloud, load_mesh, save_cloud
 from fpplab.clouds.exchange import export_cloud
 from fpplab.clouds.files import TEXT_SUFFIXES
 from fpplab.core.errors import DataError
@@ -147,6 +148,41 @@ def test_digits_far_from_the_origin(suffix: str, tmp_path: Path) -> None:
 def test_lost_digits_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     load_cloud(binary_ply(tmp_path / "far.ply", points("float", 5e6)))
     assert "steps of 0.5 mm" in caplog.text
+
+
+def test_lost_digits_of_a_mesh_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    box = trimesh.creation.box((30.0, 20.0, 10.0))
+    box.export(tmp_path / "near.stl")
+    load_mesh(tmp_path / "near.stl")
+    assert not caplog.text
+    box.apply_translation([5e6, 0.0, 0.0])
+    box.export(tmp_path / "far.stl")
+    load_mesh(tmp_path / "far.stl")
+    assert "far.stl: its coordinates have steps of 0.5 mm" in caplog.text
+
+
+@pytest.mark.parametrize("placeholder", [(-9999.0, -9999.0, -9999.0), (-1.0, -1.0, -1.0), (0.0, 0.0, 1e10)])
+@pytest.mark.parametrize("count", [300, 30_000])
+def test_placeholders_are_left_out(
+    placeholder: tuple[float, float, float], count: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    measured = np.random.default_rng(1).normal((0.0, 0.0, 450.0), 20.0, (count, 3)).round(3)
+    rows = np.insert(measured, np.arange(0, count, 7), placeholder, axis=0)
+    np.savetxt(tmp_path / "a.xyz", rows, fmt="%.3f")
+    cloud = load_cloud(tmp_path / "a.xyz")
+    assert np.allclose(cloud.coordinates, measured, atol=1e-4)
+    assert f"{len(rows) - count} points of {len(rows)} are {placeholder[0]:g} " in caplog.text
+
+
+@pytest.mark.parametrize("repeats", [2, 40])
+def test_points_that_all_repeat_are_kept(
+    repeats: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Points that were joined twice, or rounded to whole mm."""
+    rows = np.repeat(np.random.default_rng(2).normal(0.0, 20.0, (200, 3)), repeats, axis=0)
+    np.savetxt(tmp_path / "a.xyz", rows, fmt="%.3f")
+    assert len(load_cloud(tmp_path / "a.xyz").points) == len(rows)
+    assert not caplog.text
 
 
 @pytest.mark.parametrize("missing", [0.0, np.nan, np.inf])
