@@ -107,7 +107,10 @@ class Series:
 def fit_fluctuation(series: Sequence[Series], oscillates: bool = True) -> FrameFluctuation:
     """Estimate what changes, as far as Schwarz's criterion asks for it."""
     size = series[0].values.shape[1]
-    best, still = RandomDisplacement(0.0, np.zeros(size)), _misfit_of_noise(series)
+    series, best = [pose for pose in series if pose.freedom], RandomDisplacement(0.0, np.zeros(size))
+    if not series:  # sets of one image show no changes
+        return FrameFluctuation(best, np.zeros(size), 0.0, 0.0, 0.0, 0.0)
+    still = _misfit_of_noise(series)
     lowest = still
     for has_axis in (False, True)[: min(size, 2)]:
         random = _most_likely(series, has_axis)

@@ -115,3 +115,9 @@ def test_few_frames_tell_no_frequency() -> None:
     whole = series(random, wave_of(random, np.array([3e-3]), 0.2))
     some = [Series(whole.frames[:8], SETS[:8], whole.values[:8], whole.covariance[:8, :8])] * 3
     assert not fit_fluctuation(some).oscillation.any()
+
+
+def test_sets_of_one_image_tell_nothing() -> None:
+    frames = np.arange(2.0)
+    alone = Series(frames, np.array([0, 1]), np.array([[1e-3], [5e-3]]), 1e-8 * np.eye(2))
+    assert fit_fluctuation([alone] * 3).size == 0.0
