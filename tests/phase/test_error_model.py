@@ -202,3 +202,12 @@ def test_wide_fringes_do_not_tell_the_lamp_s_gains_by_their_offsets():
     frames = noisy(generator, both, 1.0)
     assert fit_errors(frames, wide, 8).sets[1].gain_first < 0.005
     assert fit_errors(frames, fine, 8).sets[1].gain_first > 0.01
+
+
+def test_a_pixel_that_any_set_shows_black_is_not_used_where_enough_are_left() -> None:
+    lit = np.full((3, 2 * error_model.NOISE.min_pixels), 50, np.uint8)
+    dark = lit.copy()
+    dark[0, : error_model.NOISE.min_pixels] = 0
+    usable = error_model._find_usable_pixels([dark, lit], 255)
+    assert not usable[: error_model.NOISE.min_pixels].any()
+    assert usable[error_model.NOISE.min_pixels :].all()
