@@ -70,10 +70,10 @@ class Series:
             self.frames, self.sets, (covariance @ weights.T @ self.values.ravel())[:, None], covariance
         )
 
-    def contrasted(self, values: Floats) -> Floats:
-        """Take off the means of the fringe sets."""
-        # values (n, ...); returns (m, ...)
-        return np.asarray(np.tensordot(self.contrasts.T, values, 1))
+    @cached_property
+    def contrasted(self) -> Floats:
+        """The values (m, k) without the means of their fringe sets."""
+        return np.asarray(self.contrasts.T @ self.values)
 
     @cached_property
     def noise(self) -> Floats:
@@ -83,9 +83,9 @@ class Series:
 
     @cached_property
     def independent(self) -> tuple[Floats, Floats]:
-        """Variances of independent combinations of contrasts, and these in columns (m k, m k)."""
+        """Of a single component: variances (m,) of independent contrasts, and these in columns (n, m)."""
         variances, basis = np.linalg.eigh(self.noise)
-        return np.maximum(variances, 0.0), basis
+        return np.maximum(variances, 0.0), self.contrasts @ basis
 
     @property
     def mean_noise(self) -> Floats:
@@ -159,8 +159,7 @@ def _misfit_of_noise(series: Sequence[Series]) -> float:
 
 def _most_likely(series: Sequence[Series], has_axis: bool) -> RandomDisplacement:
     size = series[0].values.shape[1]
-    contrasts = [pose.contrasted(pose.values) for pose in series]
-    largest = max(float(np.abs(pose).max()) for pose in contrasts)
+    largest = max(float(np.abs(pose.contrasted).max()) for pose in series)
     if not largest:
         return RandomDisplacement(0.0, np.zeros(size))
 
@@ -174,8 +173,8 @@ def _most_likely(series: Sequence[Series], has_axis: bool) -> RandomDisplacement
     if has_axis:
         weights = [1.0 / np.trace(pose.mean_noise) for pose in series]
         scatter = sum(
-            w * (values.T @ values - pose.freedom * pose.mean_noise)
-            for pose, values, w in zip(series, contrasts, weights, strict=True)
+            w * (pose.contrasted.T @ pose.contrasted - pose.freedom * pose.mean_noise)
+            for pose, w in zip(series, weights, strict=True)
         ) / sum(w * pose.freedom for pose, w in zip(series, weights, strict=True))
         strength, directions = np.linalg.eigh(scatter)
         line = np.sqrt(max(strength[-1], 1e-4 * largest**2)) / largest * directions[:, -1]
@@ -203,7 +202,7 @@ def _misfit(series: Sequence[Series], random: RandomDisplacement) -> float:
     total = 0.0
     for pose in series:
         white = pose.whitening(random)
-        total += float(np.sum((white @ pose.contrasted(pose.values).ravel()) ** 2))
+        total += float(np.sum((white @ pose.contrasted.ravel()) ** 2))
         total -= 2.0 * float(np.sum(np.log(np.diagonal(white))))
     return total
 
@@ -226,11 +225,11 @@ class _Waves:
 
     @classmethod
     def of(cls, pose: Series, frequency: float, random: float) -> _Waves:
-        variances, basis = pose.independent
-        variances = variances + random**2
+        noise, contrasts = pose.independent
+        variances = noise + random**2
         turn = 2 * np.pi * frequency * pose.frames
-        waves = basis.T @ pose.contrasted(np.sqrt(2.0) * np.column_stack([np.sin(turn), np.cos(turn)]))
-        values = basis.T @ pose.contrasted(pose.values)[:, 0]
+        waves = contrasts.T @ (np.sqrt(2.0) * np.column_stack([np.sin(turn), np.cos(turn)]))
+        values = contrasts.T @ pose.values[:, 0]
         without = float(np.sum(values**2 / variances + np.log(variances)))
         return cls(waves.T @ (values / variances), waves.T @ (waves / variances[:, None]), without)
 
@@ -260,7 +259,7 @@ def _with_oscillation(series: Sequence[Series], random: float, still: float) -> 
 
     frequency, rms = _find_strongest_wave(series, random)
     step = 0.1 / max(float(np.ptp(pose.frames)) for pose in series)
-    start = np.array([frequency, np.log(rms), np.log(0.5 * random)])
+    start = np.array([frequency, np.log(rms), np.log(0.5 * (random or rms))])
     steps = np.diag([step if frequency < 0.25 else -step, 0.3, 0.5])
     options = {"initial_simplex": np.vstack([start, start + steps]), "xatol": 1e-5, "fatol": 1e-3}
     fit = minimize(misfit, start, method="Nelder-Mead", options=options)
@@ -272,7 +271,7 @@ def _with_oscillation(series: Sequence[Series], random: float, still: float) -> 
 
 
 def _standard_errors(misfit: Callable[[Floats], float], at: Floats, steps: Floats) -> Floats:
-    """Standard errors (k,) where a misfit is least, by its second derivatives."""
+    """Standard errors (k,) at the minimum of a misfit, by its second derivatives."""
     moves = np.diag(steps)
     at = np.minimum(at, [0.5 - 2 * steps[0], np.inf, np.inf])  # frequencies on both sides are below 0.5
 

@@ -56,11 +56,10 @@ class FrameTerms:
     room_share: float  # share of the room's light in the mean level above black
 
     def series(self, columns: Sequence[int]) -> Series:
-        of, count = list(columns), len(self.frames)
+        of, size = list(columns), len(self.frames) * len(columns)
         # Faults of the fit are a share of the level, whichever light they are taken for.
         shares = {GAIN[0]: 1.0, ROOM[0]: max(self.room_share, LIMITS.min_room_share)}
         min_variance = (LIMITS.min_gain / shares[of[0]]) ** 2 if of[0] in shares else 0.0
-        size = count * len(of)
         covariance = self.covariance[:, of][..., of].reshape(size, size) + min_variance * np.eye(size)
         return Series(self.frames, self.sets, self.values[:, of], covariance)
 

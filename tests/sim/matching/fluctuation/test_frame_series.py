@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fpplab.core.conventions import Floats
+from sim.matching.fluctuation import frame_series
 from sim.matching.fluctuation.frame_series import Series, fit_fluctuation
 
 FRAMES, SETS = np.arange(8, 32, dtype=np.float64), np.repeat([0, 1, 2], 8)
@@ -117,7 +118,15 @@ def test_few_frames_tell_no_frequency() -> None:
     assert not fit_fluctuation(some).oscillation.any()
 
 
-def test_sets_of_one_image_tell_nothing() -> None:
+def test_sets_of_one_image_show_no_changes() -> None:
     frames = np.arange(2.0)
     alone = Series(frames, np.array([0, 1]), np.array([[1e-3], [5e-3]]), 1e-8 * np.eye(2))
     assert fit_fluctuation([alone] * 3).size == 0.0
+
+
+def test_an_oscillation_is_fitted_where_no_random_changes_were() -> None:
+    random = np.random.default_rng(8)
+    poses = [series(random, wave_of(random, np.array([3e-3]), 0.21)) for _ in range(4)]
+    found = frame_series._with_oscillation(poses, 0.0, 0.0)
+    assert found.cycles_per_frame == pytest.approx(0.21, abs=1e-3)
+    assert found.oscillation[0] == pytest.approx(3e-3, rel=0.1)
