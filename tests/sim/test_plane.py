@@ -11,6 +11,7 @@ from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import build_scene
+from sim.items import item_poses
 from sim.light import Light, SceneState, ShownPattern
 from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed, computed_motion
@@ -139,7 +140,7 @@ def test_light_agrees_with_the_ray_caster(turned: list[float], traces: bool) -> 
 def test_derivatives_by_the_card_s_place_are_those_of_small_steps(axis: int) -> None:
     pose = {"rotation_deg": [12, -25, 5], "translation_mm": [10, -5, 450]}
     of = world(items={"card": {"card_mm": [2000, 2000], "pose": pose}}, material={"reflectance": 0.7})
-    held, step_mm = of.items["card"].pose.transform(), 0.05  # type: ignore[union-attr]
+    held, step_mm = item_poses(of, "card")[0], 0.05
     pixels, views = (np.array([40, 120, 200]), np.array([60, 190, 330])), [SubpixelView((0.0, 0.0))]
 
     def scene(moved_mm: float) -> RenderScene:
