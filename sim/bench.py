@@ -194,9 +194,7 @@ class VirtualBench:
 
     def _with_fluctuation(self, setup: SceneState, picture: PatternLevels, frame: int) -> PatternLevels:
         changes = Fluctuation.of(self.world)
-        if changes is None:
-            return picture
-        return changes.applied(picture, self.light.irradiance(setup, None), np.arange(len(picture)), frame)
+        return picture if changes is None else changes.in_whole_frames(self.light, setup)(picture, frame)
 
     def _displaced(self, setup: SceneState) -> tuple[SceneState, ...]:
         if self._vibrating is None or self._vibrating[0] != setup:

@@ -7,7 +7,7 @@ once serve any number of frames, since displacements are a small part of a pixel
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,21 +33,37 @@ class Fluctuation:
         """Take the changes of light from a world; None where light is steady."""
         return cls(world, numbers) if any(effect.changes_light(world) for effect in EFFECTS) else None
 
+    def in_whole_frames(
+        self, light: Light, setup: SceneState
+    ) -> Callable[[PatternLevels, int], PatternLevels]:
+        """Give the function that changes a picture of a set-up, by the number of its frame."""
+        room_light, lamp_share = light.irradiance(setup, None), light.lamp_share(setup)
+        rows = np.arange(len(room_light))
+        return lambda picture, frame: self.applied(picture, room_light, lamp_share, rows, frame)
+
     def applied(
-        self, picture: PatternLevels, ambient: PatternLevels, rows: NDArray[np.intp], frame: int
+        self,
+        picture: PatternLevels,
+        room_light: PatternLevels,
+        lamp_share: PatternLevels | np.float32,
+        rows: NDArray[np.intp],
+        frame: int,
     ) -> PatternLevels:
+        """Change a picture; `lamp_share` of `room_light`, its part without the projector, is by lamps."""
         # picture (R, width); rows (R,); returns (R, width)
         # 1 separates the random numbers of light from those of displacements.
         random = np.random.default_rng([self.world.seed, frame, 1])
         of = FrameOfSequence(frame, self.sequence)
         projector = 1.0
-        room: Floats = np.ones(len(rows))
+        even, lamps = np.ones((2, len(rows)))
         for effect in EFFECTS:
             change = effect.light_change(self.world, of, rows, random)
             projector *= change.projector
-            room = room * change.room
-        changed: PatternLevels = np.float32(projector) * (picture - ambient)
-        changed += room.astype(np.float32)[:, None] * ambient
+            even = even * change.room
+            lamps = lamps * (change.room if change.lamps is None else change.lamps)
+        changed: PatternLevels = np.float32(projector) * (picture - room_light)
+        even, more = (factors.astype(np.float32)[:, None] for factors in (even, lamps - even))
+        changed += (even + more * lamp_share) * room_light
         return np.maximum(changed, 0, out=changed)
 
 

@@ -50,6 +50,7 @@ class ImagePartSampler:
         self._world, self._light = world, light
         # Light that other noise is drawn to.
         self._dark: ByteLimitedCache[PatternLevels] = ByteLimitedCache(1 << 28)
+        self._lamp_shares: ByteLimitedCache[PatternLevels] = ByteLimitedCache(1 << 28)
         self._seen: ByteLimitedCache[PatternLevels] = ByteLimitedCache(1 << 28)
 
     @property
@@ -91,15 +92,23 @@ class ImagePartSampler:
                 picture = picture + np.float32(step) * (shifted[n] - still[n])
             frame = len(patterns) * seed + n
             if changes is not None:
-                picture = changes.applied(picture, self._ambient(frame_part), rows, frame)
+                room_light, lamp_share = self._room_light(frame_part), self._lamp_share(frame_part)
+                picture = changes.applied(picture, room_light, lamp_share, rows, frame)
             taken.append(sensor.expose(np.maximum(picture, 0) * shares, settings, frame))
         return taken
 
-    def _ambient(self, frame_part: FramePart) -> PatternLevels:
-        """Irradiance (R, C) of the item without the projector, from two patterns: light is linear."""
-        return self._dark.get(frame_part.key, lambda: self._ambient_now(frame_part))
+    def _lamp_share(self, frame_part: FramePart) -> PatternLevels:
+        setup = SceneState(frame_part.item, held=item_poses(self._world, frame_part.item)[0])
+        return self._lamp_shares.get(
+            frame_part.key,
+            lambda: self._light.lamp_share(setup, frame_part.pixels).reshape(frame_part.shape),
+        )
 
-    def _ambient_now(self, frame_part: FramePart) -> PatternLevels:
+    def _room_light(self, frame_part: FramePart) -> PatternLevels:
+        """Irradiance (R, C) of the item without the projector, from two patterns: light is linear."""
+        return self._dark.get(frame_part.key, lambda: self._room_light_now(frame_part))
+
+    def _room_light_now(self, frame_part: FramePart) -> PatternLevels:
         size, response = self._world.projector.size, self._world.projector.response
         black, white = (Pattern(f"even {level}", np.full(size[::-1], level, np.uint8)) for level in (0, 255))
         setup = SceneState(frame_part.item, held=item_poses(self._world, frame_part.item)[0])

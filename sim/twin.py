@@ -244,11 +244,11 @@ class Twin:
         # first traces the rays, with their derivatives, that the light of the room needs too.
         pictures = self._levels_of_vibrating_frames(still, pose, shown, counters)
         first = next(pictures)
-        ambient = None if changes is None else self._light.irradiance(still, None)
+        change = None if changes is None else changes.in_whole_frames(self._light, still)
 
         def exposed(picture: PatternLevels, number: int) -> Image:
-            if changes is not None and ambient is not None:
-                picture = changes.applied(picture, ambient, np.arange(len(ambient)), number)
+            if change is not None:
+                picture = change(picture, number)
             return sensor.expose(picture if shares is None else picture * shares, settings, number)
 
         with ThreadPoolExecutor() as pool:

@@ -1,5 +1,7 @@
 """Rolling bands: light of the room that ripples with the mains, in the rows of a rolling shutter.
 
+One lamp may ripple while daylight is steady, so that even light and that of lamps have shares of their own.
+
 Frames at regular intervals see the bands move by the same share of a period from frame to frame; otherwise
 they are at another place in each.
 """
@@ -22,7 +24,11 @@ class AmbientBands(Document):
     """Bands of ambient light that ripples with the mains, in the rows of a rolling shutter."""
 
     ripple: Annotated[float, Field(ge=0, le=1)]
-    """Amplitude, as a share of the ambient light."""
+    """Amplitude, as a share of the light that ripples."""
+    even_light_share: Annotated[float, Field(ge=0, le=1)] = 1.0
+    """Share of the even ambient light that ripples."""
+    lamp_light_share: Annotated[float, Field(ge=0, le=1)] = 1.0
+    """Share of the lamps' light that ripples."""
     period_px: Annotated[float, Field(gt=1, le=8e5)]
     """From band to band, in rows of the sensor without binning; far more than it has where all are alike."""
     cycles_per_frame: Annotated[float, Field(ge=-0.5, le=0.5)] | None = None
@@ -44,10 +50,26 @@ class BandsParameters:
     ambient_ripple: float = field(
         default=0.0,
         metadata=table_entry(
-            "Amplitude of the rolling bands of ambient light and lamp, as a share of it.",
+            "Amplitude of the rolling bands of the room's light, as a share of the light that ripples.",
             "ambient_bands.ripple",
             effect="ambient_ripple",
             reported_at_zero=True,
+        ),
+    )
+    even_light_rippling: float = field(
+        default=1.0,
+        metadata=table_entry(
+            "Share of the even ambient light that ripples.",
+            "ambient_bands.even_light_share",
+            effect="ambient_ripple",
+        ),
+    )
+    lamp_light_rippling: float = field(
+        default=1.0,
+        metadata=table_entry(
+            "Share of the lamp's light that ripples.",
+            "ambient_bands.lamp_light_share",
+            effect="ambient_ripple",
         ),
     )
     band_period_px: float = field(
@@ -102,7 +124,10 @@ class RollingBands(Effect[BandsField]):
             start = float(np.random.default_rng([world.seed, *frame.sequence, 1]).uniform())
             phase = start + bands.cycles_per_frame * frame.number
         period = bands.period_px / world.camera.binning
-        return LightChange(room=1.0 + bands.ripple * np.sin(2 * np.pi * (rows / period + phase)))
+        wave = bands.ripple * np.sin(2 * np.pi * (rows / period + phase))
+        return LightChange(
+            room=1.0 + bands.even_light_share * wave, lamps=1.0 + bands.lamp_light_share * wave
+        )
 
     @override
     def propose(self, at: StepContext[ParametersT]) -> ParametersT:
@@ -112,7 +137,11 @@ class RollingBands(Effect[BandsField]):
         amplitude = min(ripple.amplitude, 1.0)
         return at.parameters.with_effect(
             BandsParameters(
-                ambient_ripple=amplitude, band_period_px=ripple.period_px, band_advance=ripple.advance
+                ambient_ripple=amplitude,
+                even_light_rippling=float(ripple.source != "lamps"),
+                lamp_light_rippling=float(ripple.source != "even"),
+                band_period_px=ripple.period_px,
+                band_advance=ripple.advance,
             ),
             ambient_ripple=amplitude * ripple.amplitude_sigma,
             band_period_px=ripple.period_px * ripple.period_sigma,

@@ -75,7 +75,8 @@ class LightChange:
     """Factors on the light of one frame."""
 
     projector: float = 1.0
-    room: Floats | float = 1.0  # of all other light: one factor, or (R,) one for each row
+    room: Floats | float = 1.0  # of the room's even light: one factor, or (R,) one for each row
+    lamps: Floats | float | None = None  # of the room's lamps; None: as `room`
 
 
 class Effect(ABC, Generic[FieldsT_co]):

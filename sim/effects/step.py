@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 
+RoomSource = Literal["all", "lamps", "even"]
+"""Which light of the room: all, that of its lamps, or what comes evenly from all sides."""
+
+
 @dataclass(frozen=True)
 class Ripple:
     """Rippling light of the room that was found."""
@@ -24,6 +28,7 @@ class Ripple:
     period_sigma: float  # standard uncertainty of the period, relative
     advance: float | None  # periods from frame to frame; None where frames do not agree on one
     gained: float  # by how much Schwarz's criterion is lower than that of steady light
+    source: RoomSource = "all"  # of the light
 
 
 @dataclass(frozen=True, eq=False)

@@ -96,6 +96,7 @@ class Light:
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(1 << 30)
         self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache(POSE_BYTES)
         self._others: ByteLimitedCache[PatternLevels] = ByteLimitedCache(POSE_BYTES)  # of the room's light
+        self._lamp_shares: ByteLimitedCache[PatternLevels] = ByteLimitedCache(POSE_BYTES)
         self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None
         self._around = (*standing_surfaces(world), *surroundings_surfaces(world))
         # On the path `transport` the mounted item and all that stands still have tables of their own.
@@ -112,8 +113,7 @@ class Light:
     ) -> PatternLevels:
         # row_weights (bits, height); returns (height, width)
         width, height = self._world.camera.size
-        is_empty = setup.item == NOTHING and not self._around
-        if is_empty or (show is None and not self._world.has_room_light):
+        if self._is_empty(setup) or (show is None and not self._world.has_room_light):
             return np.zeros((height, width), np.float32)
         picture = np.zeros((height, width), np.float32)
         if show is not None:
@@ -125,6 +125,22 @@ class Light:
         if self._falloff is not None:
             picture *= self._falloff
         return picture
+
+    def lamp_share(self, setup: SceneState, pixels: PixelIndices | None = None) -> PatternLevels:
+        """Compute the share of lamps in the room's light on what pixels see; pixels: None for all."""
+        # returns (P,), or (height, width)
+        width, height = self._world.camera.size
+        if not point_lamps(self._world) or self._is_empty(setup):
+            return np.zeros((height, width) if pixels is None else len(pixels[0]), np.float32)
+
+        def make() -> PatternLevels:
+            room = np.asarray(self._room.on(self._in_view(setup), pixels), np.float32)
+            return 1 - np.float32(self._world.ambient) / np.maximum(room, np.finfo(np.float32).tiny)
+
+        return make() if pixels is not None else self._lamp_shares.get(setup, make)
+
+    def _is_empty(self, setup: SceneState) -> bool:
+        return setup.item == NOTHING and not self._around
 
     def irradiance_at(
         self, setup: SceneState, patterns: tuple[Pattern, ...], pixels: PixelIndices
@@ -213,7 +229,7 @@ class Light:
 
     def forget(self) -> None:
         """Drop every picture and table in memory."""
-        pictures = (self._pictures, self._bases, self._albedos, self._others)
+        pictures = (self._pictures, self._bases, self._albedos, self._others, self._lamp_shares)
         for kept in (self._tables, self._motions, self._erring, *pictures):
             kept.clear()
         self._projector.forget()

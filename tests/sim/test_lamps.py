@@ -147,6 +147,19 @@ def test_light_of_the_room_is_what_is_reflected_of_it(ball_over_plate: tuple[Wor
     np.testing.assert_allclose(some, whole[:, rows, columns], atol=1e-6)
 
 
+def test_share_of_lamps_is_that_of_pictures_with_and_without_them() -> None:
+    setup, pixels = SceneState("board", 0), (np.array([40, 64, 90]), np.array([60, 90, 120]))
+    both, even = (Light(of(ambient=0.02), Blender("bench"), analytic=True) for of in (lamped, world))
+    share, room = both.lamp_share(setup), both.irradiance(setup, None)
+    on_board = room > 0.2 * room.max()
+    np.testing.assert_allclose(
+        (share * room)[on_board], (room - even.irradiance(setup, None))[on_board], atol=1e-6
+    )
+    np.testing.assert_allclose(both.lamp_share(setup, pixels), share[pixels], rtol=1e-6)
+    assert share[pixels].min() > 0.3
+    assert not even.lamp_share(setup).any()
+
+
 def test_lamps_alone_are_light_enough() -> None:
     """Nothing is left out because there is no ambient light."""
     light = Light(lamped(), Blender("bench"), analytic=True)

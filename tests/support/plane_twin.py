@@ -244,16 +244,21 @@ class PlaneTwin:
         random: np.random.Generator,
     ) -> NDArray[np.float32]:
         now = self._now
-        dark = self.with_parameters(replace(now, ambient=0.0, lamp_irradiance=0.0))
-        projected = dark._seen(now.poses[pose], patterns, settings, board=True)
+        no_lamp, dark = (
+            self.with_parameters(replace(now, lamp_irradiance=0.0, **ambient))._seen(
+                now.poses[pose], patterns, settings, board=True
+            )
+            for ambient in ({}, {"ambient": 0.0})
+        )
         black, (count, rows, _) = np.float32(full_scale(settings.bits) * now.black_level), expected.shape
         factor = 1 + now.projector_flicker * random.standard_normal((count, 1, 1))
         starts = random.random((count, 1, 1))
         if now.band_advance is not None:
             starts = starts[:1] + now.band_advance * np.arange(count)[:, None, None]
         phase = np.arange(rows)[:, None] / (now.band_period_px or 1.0) + starts
-        wave = 1 + now.ambient_ripple * np.sin(2 * np.pi * phase)
-        changed = black + factor * (projected - black) + wave * (expected - projected)
+        wave = now.ambient_ripple * np.sin(2 * np.pi * phase)
+        even, lamps = 1 + now.even_light_rippling * wave, 1 + now.lamp_light_rippling * wave
+        changed = black + factor * (dark - black) + even * (no_lamp - dark) + lamps * (expected - no_lamp)
         return changed.astype(np.float32)
 
     def _draws(self, frames: int) -> np.random.Generator:

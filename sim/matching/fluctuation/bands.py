@@ -18,8 +18,8 @@ from scipy.ndimage import median_filter
 
 from fpplab.core.conventions import Floats
 from sim.effects.step import Ripple
-from sim.matching.fluctuation.frame_series import fit_fluctuation
-from sim.matching.fluctuation.frame_terms import ROOM, FrameTerms
+from sim.matching.fluctuation.frame_series import fit_along_rows, fit_fluctuation
+from sim.matching.fluctuation.frame_terms import ROOM, ROOM_ROWS, FrameTerms
 from sim.matching.fluctuation.fringe_residuals import Complex, FringeResidual, Variances
 
 
@@ -151,13 +151,21 @@ def _one_wave(sets: Sequence[tuple[FringeResidual, Complex]], advance: float) ->
 
 
 def ripple_in_step(terms: Sequence[FrameTerms]) -> Ripple:
-    """Take light of the room that changes from frame to frame, equally in all rows."""
+    """Take light of the room that changes from frame to frame, equally in all rows or with a slow wave."""
     fluctuation = fit_fluctuation([pose.series(ROOM) for pose in terms])
-    oscillates = bool(fluctuation.oscillation.any())
-    rms = abs(float(fluctuation.oscillation[0])) if oscillates else fluctuation.random.isotropic
-    advance = fluctuation.cycles_per_frame if oscillates else None
-    amplitude, period_px = float(np.sqrt(2.0)) * rms, LIMITS.in_step_period_px
-    return Ripple(amplitude, fluctuation.sigma, period_px, 0.0, advance, fluctuation.gained)
+    period_px, source = LIMITS.in_step_period_px, terms[0].source
+    if not fluctuation.oscillation.any():
+        amplitude = float(np.sqrt(2.0)) * fluctuation.random.isotropic
+        return Ripple(amplitude, fluctuation.sigma, period_px, 0.0, None, fluctuation.gained, source)
+    sign, period_sigma = 1.0, 0.0
+    along_rows = fit_along_rows([pose.series(ROOM_ROWS) for pose in terms], fluctuation)
+    if along_rows.fluctuation.gained > fluctuation.gained:
+        fluctuation, turn = along_rows.fluctuation, along_rows.turn_per_px
+        period_px, sign = min(2.0 * np.pi / abs(turn), period_px), float(np.sign(turn))
+        period_sigma = along_rows.turn_sigma / abs(turn)
+    amplitude = float(np.sqrt(2.0)) * abs(float(fluctuation.oscillation[0]))
+    advance, gained = sign * fluctuation.cycles_per_frame, fluctuation.gained
+    return Ripple(amplitude, fluctuation.sigma, period_px, period_sigma, advance, gained, source)
 
 
 def strongest_ripple(terms: Sequence[FrameTerms], rests: Sequence[FringeResidual]) -> Ripple | None:
@@ -166,7 +174,7 @@ def strongest_ripple(terms: Sequence[FrameTerms], rests: Sequence[FringeResidual
     if share <= 0:
         return None
     bands = Bands.of(rests)
-    ripple = max(
-        [ripple_in_step(terms), *([bands.rolling(share)] if bands else [])], key=lambda ripple: ripple.gained
-    )
+    by_source = [terms, *zip(*(pose.of_sources for pose in terms), strict=False)]
+    candidates = [*map(ripple_in_step, by_source), *([bands.rolling(share)] if bands else [])]
+    ripple = max(candidates, key=lambda ripple: ripple.gained)
     return ripple if ripple.gained > 0 and ripple.amplitude else None

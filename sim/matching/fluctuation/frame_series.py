@@ -8,13 +8,16 @@ with random numbers e_n, equally large in all directions, others r_n along one a
 f cycles per frame, the same in all poses. Axis and oscillation are kept where Schwarz's criterion asks for
 them. What moves along an axis oscillates along it: across the axis, faults of the twin that go in step with
 the phase steps would be taken for an oscillation.
+
+Light whose phase turns along the rows of the image is one oscillation of two components: of the light as a
+whole, and of its gradient along the rows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +35,42 @@ class SeriesLimits:
 
     min_frames: int = 8  # of a pose, for a search of its frequency (chosen)
     steps_per_cycle: int = 6  # of the search, for one cycle more in the frames of a pose (chosen)
+    max_turns: int = 1  # of a wave over the rows of the light; more are looked for as bands (chosen)
+    row_bins: int = 64  # of a profile along the rows: a wave turns little within one (chosen)
     phases_per_width: float = 8.0  # places at which likelihoods of a phase are added up, by their width
     min_isotropic_share: float = 0.02  # of what all directions have, relative to the axis; less is 0 (chosen)
     min_share: float = 1e-6  # minimum standard deviation, relative to the greatest value (numerical)
 
 
 LIMITS = SeriesLimits()
+
+
+@dataclass(frozen=True, eq=False)
+class RowProfile:
+    """Over which rows of the image the light extends whose changes are estimated."""
+
+    rows: Floats  # middles (B,) of bins
+    weights: Floats  # (B,) of the bins in the estimate
+
+    @classmethod
+    def of(cls, rows: NDArray[np.intp], light: Floats) -> RowProfile:
+        # rows, light (P,)
+        weights, edges = np.histogram(rows, LIMITS.row_bins, weights=light.astype(np.float64) ** 2)
+        return cls(0.5 * (edges[1:] + edges[:-1]), weights)
+
+    def gradient(self, rows: Floats | NDArray[np.intp]) -> Floats:
+        """Places from -1 to 1, that of the first and of the last row."""
+        first, last = self.rows[[0, -1]]
+        return np.asarray((2.0 * rows - first - last) / (last - first))
+
+    def of_wave(self, turn_per_px: float) -> NDArray[np.complex128]:
+        """Give the level and the gradient (2,) that a wave along the rows is taken for."""
+        columns, root = (
+            np.column_stack([np.ones_like(self.rows), self.gradient(self.rows)]),
+            self.weights**0.5,
+        )
+        wave = np.exp(1j * turn_per_px * (self.rows - self.rows.mean()))
+        return np.asarray(np.linalg.lstsq(root[:, None] * columns, root * wave, rcond=None)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +81,7 @@ class Series:
     sets: NDArray[np.int64]  # fringe set (n,) of each
     values: Floats  # (n, k)
     covariance: Floats  # (n k, n k) by noise, and by faults of the fit that frames of a set share
+    profile: RowProfile | None = None  # of light with a gradient, which are the two components
 
     @cached_property
     def contrasts(self) -> Floats:
@@ -76,16 +110,28 @@ class Series:
         return np.asarray(self.contrasts.T @ self.values)
 
     @cached_property
+    def contrasts_of_components(self) -> Floats:
+        """The contrasts (n k, m k) of every component."""
+        return np.kron(self.contrasts, np.eye(self.values.shape[1]))
+
+    @cached_property
     def noise(self) -> Floats:
         """Covariance (m k, m k) of contrasts without any changes."""
-        mixed = np.kron(self.contrasts, np.eye(self.values.shape[1]))
+        mixed = self.contrasts_of_components
         return np.asarray(mixed.T @ self.covariance @ mixed)
 
     @cached_property
     def independent(self) -> tuple[Floats, Floats]:
-        """Of a single component: variances (m,) of independent contrasts, and these in columns (n, m)."""
+        """Variances (m k,) of independent contrasts, and these in columns (n k, m k)."""
         variances, basis = np.linalg.eigh(self.noise)
-        return np.maximum(variances, 0.0), self.contrasts @ basis
+        return np.maximum(variances, 0.0), self.contrasts_of_components @ basis
+
+    def waves(self, frequency: float, turn_per_px: float) -> Floats:
+        """Give sine and cosine (n k, 2) of RMS size 1, of periods per frame and rad per row."""
+        turns = np.exp(2j * np.pi * frequency * self.frames)
+        of_rows = np.ones(1) if self.profile is None else self.profile.of_wave(turn_per_px)
+        waves = np.sqrt(2.0) * np.outer(turns, of_rows).ravel()
+        return np.column_stack([waves.imag, waves.real])
 
     @property
     def mean_noise(self) -> Floats:
@@ -217,19 +263,18 @@ def _cost_of_parameter(series: Sequence[Series]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Waves:
-    """Waves of one frequency in a pose's contrasts (m,), whose noise is independent in this basis."""
+    """Waves of one frequency in a pose's contrasts, whose noise is independent in this basis."""
 
     cross: Floats  # (2,) of sine and cosine with the contrasts, both over their variance
     square: Floats  # (2, 2) of sine and cosine with each other
     without: float  # misfit without a wave
 
     @classmethod
-    def of(cls, pose: Series, frequency: float, random: float) -> _Waves:
+    def of(cls, pose: Series, frequency: float, random: float, turn_per_px: float = 0.0) -> _Waves:
         noise, contrasts = pose.independent
         variances = noise + random**2
-        turn = 2 * np.pi * frequency * pose.frames
-        waves = contrasts.T @ (np.sqrt(2.0) * np.column_stack([np.sin(turn), np.cos(turn)]))
-        values = contrasts.T @ pose.values[:, 0]
+        waves = contrasts.T @ pose.waves(frequency, turn_per_px)
+        values = contrasts.T @ pose.values.ravel()
         without = float(np.sum(values**2 / variances + np.log(variances)))
         return cls(waves.T @ (values / variances), waves.T @ (waves / variances[:, None]), without)
 
@@ -250,30 +295,72 @@ class _Waves:
 
 def _with_oscillation(series: Sequence[Series], random: float, still: float) -> FrameFluctuation:
     """Fit an oscillation and random numbers to series of one component."""
-
-    def misfit(unknown: Floats) -> float:
-        (frequency, *_), (rms, rest) = unknown, np.exp(unknown[1:])
-        if not 0.0 < frequency <= 0.5:
-            return float("inf")
-        return sum(_Waves.of(pose, frequency, rest).misfit(rms) for pose in series)
-
     frequency, rms = _find_strongest_wave(series, random)
+    fit = _fit_wave(series, np.array([frequency, np.log(rms), np.log(0.5 * (random or rms))]))
+    gained = still - fit.misfit - len(fit.at) * _cost_of_parameter(series)
+    return _fluctuation_of(fit, gained)
+
+
+@dataclass(frozen=True, eq=False)
+class RowOscillation:
+    """An oscillation whose phase turns along the rows of the image."""
+
+    fluctuation: FrameFluctuation
+    turn_per_px: float  # rad; negative where the oscillation moves towards later rows
+    turn_sigma: float  # standard uncertainty of that
+
+
+def fit_along_rows(series: Sequence[Series], in_step: FrameFluctuation) -> RowOscillation:
+    """Fit the turn along the rows of an oscillation that is known of the light as a whole."""
+    size, random = abs(float(in_step.oscillation[0])), in_step.random.isotropic
+    start = np.array([in_step.cycles_per_frame, np.log(size), np.log(random or LIMITS.min_share * size)])
+    equal = _fit_wave(series, start)
+    height = max(float(np.ptp(pose.profile.rows)) for pose in series if pose.profile)
+    most = 2 * np.pi * LIMITS.max_turns / height
+    tried = np.linspace(-most, most, 2 * LIMITS.max_turns * LIMITS.steps_per_cycle + 1)
+    turn = min(tried.tolist(), key=lambda turn: _misfit_of_wave(series, np.append(equal.at, turn)))
+    fit = _fit_wave(series, np.append(equal.at, turn), 0.1 * float(tried[1] - tried[0]))
+    gained = in_step.gained + equal.misfit - fit.misfit - _cost_of_parameter(series)
+    return RowOscillation(_fluctuation_of(fit, gained), float(fit.at[3]), float(fit.sigma[3]))
+
+
+@dataclass(frozen=True, eq=False)
+class _FittedWave:
+    """Cycles per frame, logarithms of RMS size and random numbers, and where it is free the turn per row."""
+
+    at: Floats  # (3,) or (4,)
+    sigma: Floats  # standard uncertainties of them
+    misfit: float
+
+
+def _misfit_of_wave(series: Sequence[Series], unknown: Floats) -> float:
+    (frequency, _, _, *turn), (rms, rest) = unknown.tolist(), np.exp(unknown[1:3]).tolist()
+    if not 0.0 < frequency <= 0.5:
+        return float("inf")
+    return sum(_Waves.of(pose, frequency, rest, *turn).misfit(rms) for pose in series)
+
+
+def _fit_wave(series: Sequence[Series], start: Floats, turn_step: float = 0.0) -> _FittedWave:
+    misfit = partial(_misfit_of_wave, series)
     step = 0.1 / max(float(np.ptp(pose.frames)) for pose in series)
-    start = np.array([frequency, np.log(rms), np.log(0.5 * (random or rms))])
-    steps = np.diag([step if frequency < 0.25 else -step, 0.3, 0.5])
+    count = len(start)
+    steps = np.diag([step if start[0] < 0.25 else -step, 0.3, 0.5, turn_step][:count])
     options = {"initial_simplex": np.vstack([start, start + steps]), "xatol": 1e-5, "fatol": 1e-3}
     fit = minimize(misfit, start, method="Nelder-Mead", options=options)
-    sigma = _standard_errors(misfit, fit.x, np.array([0.1 * step, 0.02, 0.02]))
-    frequency, (rms, rest) = float(fit.x[0]), np.exp(fit.x[1:]).tolist()
-    gained = still - float(fit.fun) - len(fit.x) * _cost_of_parameter(series)
-    alone = RandomDisplacement(rest, np.zeros(1))
-    return FrameFluctuation(alone, np.array([rms]), frequency, float(sigma[0]), float(sigma[1]), gained)
+    sigma = _standard_errors(misfit, fit.x, np.array([0.1 * step, 0.02, 0.02, 0.1 * turn_step][:count]))
+    return _FittedWave(fit.x, sigma, float(fit.fun))
+
+
+def _fluctuation_of(fit: _FittedWave, gained: float) -> FrameFluctuation:
+    rms, rest = np.exp(fit.at[1:3]).tolist()
+    alone, (frequency_sigma, relative_sigma, *_) = RandomDisplacement(rest, np.zeros(1)), fit.sigma.tolist()
+    return FrameFluctuation(alone, np.array([rms]), float(fit.at[0]), frequency_sigma, relative_sigma, gained)
 
 
 def _standard_errors(misfit: Callable[[Floats], float], at: Floats, steps: Floats) -> Floats:
     """Standard errors (k,) at the minimum of a misfit, by its second derivatives."""
     moves = np.diag(steps)
-    at = np.minimum(at, [0.5 - 2 * steps[0], np.inf, np.inf])  # frequencies on both sides are below 0.5
+    at = np.append(min(at[0], 0.5 - 2 * steps[0]), at[1:])  # frequencies on both sides are below 0.5
 
     def curvature(a: Floats, b: Floats) -> float:
         corners = misfit(at + a + b) - misfit(at + a - b) - misfit(at - a + b) + misfit(at - a - b)

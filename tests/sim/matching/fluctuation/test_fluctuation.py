@@ -9,7 +9,7 @@ from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.plan import Plan
 from sim.effects.vibration import Vibration
 from sim.matching.fluctuation.bands import LIMITS, Bands, ripple_in_step
-from sim.matching.fluctuation.frame_series import fit_fluctuation
+from sim.matching.fluctuation.frame_series import RowProfile, fit_fluctuation
 from sim.matching.fluctuation.frame_terms import GAIN, FrameTerms
 from sim.matching.fluctuation.fringe_residuals import Variances, fringe_residuals, residual_of_set
 from sim.matching.samples import sample_pixels
@@ -22,6 +22,7 @@ __all__ = ["truth"]  # a fixture
 
 PLAN = Plan(fringes=tuple(Sinusoid(axis=axis, stripes=24, steps=8) for axis in ("x", "y")))
 SHAKEN_MM = 0.01
+PROFILE = RowProfile(np.arange(4.0), np.ones(4))
 
 
 def context(bench: TwinParameters, start: TwinParameters) -> MatchingContext:
@@ -60,12 +61,12 @@ def test_steady_light_of_a_shaking_bench_has_no_flicker(truth: TwinParameters) -
 @pytest.mark.parametrize(("ripple", "is_found"), [(0.01, False), (0.3, True)])
 def test_faults_of_a_fit_are_no_ripple_of_a_faint_room(ripple: float, is_found: bool) -> None:
     """A hundredth of light that is a hundredth of the level is a ten-thousandth of the level."""
-    random, frames, tiny = np.random.default_rng(3), np.arange(16.0), 1e-10 * np.eye(80).reshape(16, 5, 16, 5)
+    random, frames, tiny = np.random.default_rng(3), np.arange(16.0), 1e-10 * np.eye(96).reshape(16, 6, 16, 6)
     poses = []
     for pose in range(6):
-        values = np.zeros((16, 5))
+        values = np.zeros((16, 6))
         values[:, 1] = ripple / np.sqrt(2) * random.standard_normal(16)
-        poses.append(FrameTerms(pose, frames, np.repeat([0, 1], 8), values, tiny, 0.01))
+        poses.append(FrameTerms(pose, frames, np.repeat([0, 1], 8), values, tiny, 0.01, PROFILE))
     found = ripple_in_step(poses)
     assert (found.gained > 0) == is_found
     assert found.amplitude == (pytest.approx(ripple, rel=0.2) if is_found else 0.0)
@@ -110,6 +111,39 @@ def test_light_in_step_is_found_where_no_fit_of_phase_steps_sees_it(
     assert found.band_advance == pytest.approx(advance, abs=5e-3)
     assert found.ambient_ripple == pytest.approx(0.2, rel=0.1)
     assert abs(found.ambient_ripple - 0.2) < 4 * found.sigma["ambient_ripple"]
+
+
+@pytest.mark.parametrize(
+    "advance", [pytest.param(0.1, marks=pytest.mark.nightly), pytest.param(-0.125, marks=pytest.mark.whole)]
+)
+def test_bands_wider_than_the_board_are_found(truth: TwinParameters, advance: float) -> None:
+    lit = replace(truth, ambient=0.05)
+    bench = replace(lit, ambient_ripple=0.2, band_period_px=300.0, band_advance=advance)
+    found = proposed("rolling bands", bench, lit)
+    assert found.band_period_px == pytest.approx(300.0, rel=0.1)
+    assert abs(found.band_period_px - 300.0) < 4 * found.sigma["band_period_px"]
+    assert found.band_advance == pytest.approx(advance, abs=5e-3)
+    assert found.ambient_ripple == pytest.approx(0.2, rel=0.1)
+    assert abs(found.ambient_ripple - 0.2) < 4 * found.sigma["ambient_ripple"]
+
+
+@pytest.mark.parametrize(
+    "source",
+    [pytest.param("even", marks=pytest.mark.nightly), pytest.param("lamps", marks=pytest.mark.whole)],
+)
+def test_which_light_of_the_room_ripples_is_found(truth: TwinParameters, source: str) -> None:
+    lit = replace(truth, ambient=0.03, lamp_irradiance=0.05, lamp_angle_deg=60.0)
+    bench = replace(
+        lit,
+        ambient_ripple=0.15,
+        even_light_rippling=float(source == "even"),
+        lamp_light_rippling=float(source == "lamps"),
+        band_period_px=LIMITS.in_step_period_px,
+        band_advance=0.1,
+    )
+    found = proposed("rolling bands", bench, lit)
+    assert (found.even_light_rippling, found.lamp_light_rippling) == (source == "even", source == "lamps")
+    assert found.ambient_ripple == pytest.approx(0.15, rel=0.1)
 
 
 @pytest.mark.nightly

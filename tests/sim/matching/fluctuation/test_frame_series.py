@@ -5,7 +5,7 @@ import pytest
 
 from fpplab.core.conventions import Floats
 from sim.matching.fluctuation import frame_series
-from sim.matching.fluctuation.frame_series import Series, fit_fluctuation
+from sim.matching.fluctuation.frame_series import RowProfile, Series, fit_along_rows, fit_fluctuation
 
 FRAMES, SETS = np.arange(8, 32, dtype=np.float64), np.repeat([0, 1, 2], 8)
 NOISE = np.array([[4.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 25.0]]) * 1e-8
@@ -130,3 +130,53 @@ def test_an_oscillation_is_fitted_where_no_random_changes_were() -> None:
     found = frame_series._with_oscillation(poses, 0.0, 0.0)
     assert found.cycles_per_frame == pytest.approx(0.21, abs=1e-3)
     assert found.oscillation[0] == pytest.approx(3e-3, rel=0.1)
+
+
+ROWS = RowProfile(np.linspace(100.5, 249.5, 150), np.ones(150))
+
+
+def light_of_rows(random: np.random.Generator, rms: float, cycles: float, turn_per_px: float) -> Series:
+    """Level and gradient of light that oscillates, with noise."""
+    turns = np.exp(2j * np.pi * (cycles * FRAMES + random.random()))
+    level, gradient = ROWS.of_wave(turn_per_px)
+    values = np.sqrt(2.0) * rms * np.column_stack([(turns * level).imag, (turns * gradient).imag])
+    noisy = values + random.multivariate_normal(np.zeros(2), NOISE[:2, :2], len(FRAMES))
+    return Series(FRAMES, SETS, noisy, np.kron(np.eye(len(FRAMES)), NOISE[:2, :2]), ROWS)
+
+
+def test_level_and_gradient_of_a_wave_are_those_of_its_integrals() -> None:
+    x = 0.008 * 74.5  # rad from the middle row to the last
+    level, gradient = ROWS.of_wave(0.008)
+    assert level == pytest.approx(np.sin(x) / x, rel=3e-3)
+    assert gradient == pytest.approx(3j * (np.sin(x) - x * np.cos(x)) / x**2, rel=0.02)
+    np.testing.assert_allclose(ROWS.gradient(np.array([100.5, 175.0, 249.5])), [-1, 0, 1], atol=1e-12)
+
+
+def test_light_of_rows_is_weighted_by_its_square() -> None:
+    profile = RowProfile.of(np.repeat([10, 20, 73], [1, 2, 1]), np.array([1.0, 2.0, 2.0, 3.0]))
+    assert profile.weights.sum() == 18.0
+    assert profile.weights[[0, -1]].tolist() == [1.0, 9.0]
+
+
+@pytest.mark.parametrize("turn_per_px", [2 * np.pi / 500, -2 * np.pi / 500, 2 * np.pi / 160])
+def test_a_wave_along_the_rows_is_found_where_one_frame_shows_a_part_of_it(turn_per_px: float) -> None:
+    random = np.random.default_rng(5)
+    seen = [light_of_rows(random, 3e-3, 0.11, turn_per_px) for _ in range(4)]
+    levels = [Series(one.frames, one.sets, one.values[:, :1], one.covariance[::2, ::2]) for one in seen]
+    in_step = fit_fluctuation(levels)
+    found = fit_along_rows(seen, in_step)
+    assert found.fluctuation.gained > in_step.gained + 20
+    assert abs(found.turn_per_px - turn_per_px) < 4 * found.turn_sigma
+    assert found.turn_sigma < 0.05 * abs(turn_per_px)
+    assert found.fluctuation.oscillation[0] == pytest.approx(3e-3, rel=0.03)
+    assert found.fluctuation.cycles_per_frame == pytest.approx(0.11, abs=1e-3)
+
+
+def test_light_that_is_equal_in_all_rows_has_no_wave() -> None:
+    random = np.random.default_rng(7)
+    seen = [light_of_rows(random, 3e-3, 0.11, 0.0) for _ in range(4)]
+    levels = [Series(one.frames, one.sets, one.values[:, :1], one.covariance[::2, ::2]) for one in seen]
+    in_step = fit_fluctuation(levels)
+    found = fit_along_rows(seen, in_step)
+    assert found.fluctuation.gained < in_step.gained
+    assert abs(found.turn_per_px) < 4 * found.turn_sigma
