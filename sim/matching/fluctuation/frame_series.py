@@ -65,10 +65,8 @@ class RowProfile:
 
     def of_wave(self, turn_per_px: float) -> NDArray[np.complex128]:
         """Give the level and the gradient (2,) that a wave along the rows is taken for."""
-        columns, root = (
-            np.column_stack([np.ones_like(self.rows), self.gradient(self.rows)]),
-            self.weights**0.5,
-        )
+        columns = np.column_stack([np.ones_like(self.rows), self.gradient(self.rows)])
+        root = np.sqrt(self.weights)
         wave = np.exp(1j * turn_per_px * (self.rows - self.rows.mean()))
         return np.asarray(np.linalg.lstsq(root[:, None] * columns, root * wave, rcond=None)[0])
 
