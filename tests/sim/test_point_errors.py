@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fpplab.characterisation import Characterisation, Observation, characterise, finest_periods, observe
+from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 from fpplab.patterns.fringes import make_patterns
@@ -85,6 +86,15 @@ def test_displaced_boards_have_the_errors_of_the_board_at_rest() -> None:
     (moved, *_) = displaced(still, pose, 1e-3)
     off = light.table(moved).samples - light.table(still).samples
     assert np.abs(off[..., :2]).max() < 0.02  # px of the projector: nothing near the errors' 0.1
+
+
+def test_errors_are_those_of_about_the_same_place() -> None:
+    pose = RigidTransform.from_vectors(np.array([1e-4, -1e-4, 0.2]), np.array([1e-3, 52.0, 448.0]))
+    back = RigidTransform.from_vectors(np.array([-1e-4, 1e-4, 0.201]), np.array([-0.3, 52.2, 447.9]))
+    assert error_draw(back) == error_draw(pose)
+    assert error_draw(pose.moved(np.array([0.0, 0.0, 20.0]))) != error_draw(pose)
+    turned = RigidTransform.from_vectors(np.array([0.0, 0.3, 0.2]), pose.translation)
+    assert error_draw(turned) != error_draw(pose)
 
 
 def characterised(twin: Twin) -> Characterisation:
