@@ -8,7 +8,7 @@ import re
 import warnings
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -37,6 +37,18 @@ MESH_SUFFIXES = (".stl", ".ply", ".obj")  # of files that `load_mesh` reads
 MIN_SIZE_MM = 1.0
 """Below which a cloud or mesh seems to be in another unit (chosen: parts are of 1 mm to 2 m)"""
 FAR_MM = 8192.0  # coordinate from which steps of 32-bit numbers reach 1 µm
+
+
+@dataclass(frozen=True)
+class PlaceholderLimits:
+    """When a value that comes again and again stands for points that were not measured."""
+
+    sample: int = 4096  # points that are looked at: a placeholder of 1 % of them comes some 40 times
+    min_repeats: int = 20  # in the sample (chosen: fewer hardly change a result)
+    min_over_next: int = 5  # times as often as the next value: rounding makes many come about as often
+
+
+PLACEHOLDERS = PlaceholderLimits()
 
 
 def save_cloud(cloud: Cloud, path: Path | str, approve: Callable[[], object] | None = None) -> None:
@@ -409,9 +421,12 @@ def _cloud(
         return Cloud(points, size=size, **known)  # which refuses it
     measured = np.isfinite(points).all(axis=1) & points.any(axis=1)
     why = "0 0 0 or not finite"
-    if (placeholder := _placeholder(points[measured])) is not None:
-        measured &= (points != placeholder).any(axis=1)
-        why = f"{' '.join(f'{value:g}' for value in placeholder)}, {why}"
+    if (repeated := _repeated(points[measured])) is not None:  # such as -9999 -9999 -9999
+        measured &= (points != repeated[0]).any(axis=1)
+        why = f"{' '.join(f'{value:g}' for value in repeated[0])}, {why}"
+    if (z := _depth_placeholder(path, points[measured])) is not None:
+        measured &= points[:, 2] != z
+        why = f"at z = {z:g}, {why}"
     invalid = len(points) - int(np.count_nonzero(measured))
     if invalid and invalid == len(points):
         raise ValueError(f"all of its {invalid} points are {why}")
@@ -427,15 +442,33 @@ def _cloud(
     return Cloud(near, size=size, origin_mm=tuple(origin.tolist()), **known)
 
 
-def _placeholder(points: NDArray[Any], drawn: int = 4096, min_repeats: int = 20) -> NDArray[Any] | None:
-    """Find the point that a program wrote wherever it measured none, such as -9999 -9999 -9999."""
-    # In a sample it comes often while others hardly repeat: rounding makes many points repeat about as often.
-    # A placeholder of 1 % of the points is drawn some 40 times.
+def _depth_placeholder(path: Path, points: NDArray[Any]) -> float | None:
+    """Find the z of points whose x and y were kept although nothing was measured there."""
+    depth = points[:, 2]
+    if (repeated := _repeated(depth[:, None])) is None:
+        return None
+    (value,), next_repeats = repeated
+    others = depth[depth != value]
+    # A flat surface of exactly this z has others beside it, or like it; a placeholder lies far from them all.
+    is_apart = float(np.abs(others - value).min()) > float(np.ptp(others))
+    if is_apart and next_repeats < PLACEHOLDERS.min_repeats:
+        return float(value)
+    if value == 0.0:
+        count = len(depth) - len(others)
+        _log.warning(
+            "%s: %d points of %d are at exactly z = 0: measured, or missing?", path, count, len(depth)
+        )
+    return None
+
+
+def _repeated(points: NDArray[Any]) -> tuple[NDArray[Any], int] | None:
+    """Find what comes again and again among values (N, k), and how often the next does in a sample."""
     sample = points
-    if len(points) > drawn:
-        sample = points[np.random.default_rng(0).integers(len(points), size=drawn)]
+    if len(points) > PLACEHOLDERS.sample:
+        sample = points[np.random.default_rng(0).integers(len(points), size=PLACEHOLDERS.sample)]
     values, repeats = np.unique(sample, axis=0, return_counts=True)
     if len(values) < 2:
         return None
-    *_, second, first = np.sort(repeats)
-    return values[np.argmax(repeats)] if first >= max(min_repeats, 5 * second) else None
+    *_, second, first = np.sort(repeats).tolist()
+    enough = max(PLACEHOLDERS.min_repeats, PLACEHOLDERS.min_over_next * second)
+    return (values[np.argmax(repeats)], second) if first >= enough else None

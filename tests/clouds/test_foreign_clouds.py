@@ -174,6 +174,39 @@ def test_placeholders_are_left_out(
     assert f"{len(rows) - count} points of {len(rows)} are {placeholder[0]:g} " in caplog.text
 
 
+@pytest.mark.parametrize(("z", "suffix"), [(0.0, ".xyz"), (-1.0, ".ply"), (-32768.0, ".xyz")])
+@pytest.mark.parametrize("count", [300, 30_000])
+def test_points_without_a_depth_are_left_out(
+    z: float, suffix: str, count: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rows = np.random.default_rng(1).normal((0.0, 0.0, 450.0), 20.0, (count, 3)).round(3)
+    measured = rows[np.arange(count) % 5 != 0]
+    rows[::5, 2] = z
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".ply":
+        text = text_ply(XYZ, "".join(f"{x} {y} {z}\n" for x, y, z in rows.tolist()))
+        path.write_text(text.replace("vertex 2", f"vertex {count}"), encoding="ascii")
+    else:
+        np.savetxt(path, rows, fmt="%.3f")
+    assert np.allclose(load_cloud(path).coordinates, measured, atol=1e-4)
+    assert (
+        f"{count // 5} points of {count} are at z = {z:g}, 0 0 0 or not finite; they are left out"
+        in caplog.text
+    )
+
+
+@pytest.mark.parametrize("height", [0.0, 5.0])
+def test_flat_surfaces_are_kept(height: float, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A part on a plate of exactly z = 0, and a step of exactly one height: of a file that a program made."""
+    rows = np.random.default_rng(1).uniform((-20.0, -20.0, 0.0), (20.0, 20.0, 20.0), (4000, 3)).round(3)
+    rows[:3600, 2] = 0.0
+    if height:
+        rows[3600:, 2] = height
+    np.savetxt(tmp_path / "a.xyz", rows, fmt="%.3f")
+    assert len(load_cloud(tmp_path / "a.xyz").points) == 4000
+    assert "3600 points of 4000 are at exactly z = 0: measured, or missing?" in caplog.text
+
+
 @pytest.mark.parametrize("repeats", [2, 40])
 def test_points_that_all_repeat_are_kept(
     repeats: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
