@@ -76,7 +76,7 @@ def import_calibration(
 ) -> Calibration:
     """Read a calibration from other programs' files, which together hold both devices and their pose."""
     files = [read_foreign(path) for path in paths]
-    mm_per_unit = mm_per_unit or _mm_per_unit(files, tell)
+    stated_unit = mm_per_unit or _mm_per_unit(files, tell)
     entries = _gathered(files)
     source = " + ".join(str(path) for path in paths)
     camera = Pinhole(
@@ -90,16 +90,21 @@ def import_calibration(
         _distortion(_needed(entries, "D2", source)),
         _lattice(entries, lattice, source),
     )
-    pose = _pose(entries, mm_per_unit, source)
+    pose = _pose(entries, stated_unit or 1.0, source)
     rms = {name: _number(entries[f"rms_{name}"]) for name in RMS if f"rms_{name}" in entries}
     calibration = Calibration(camera, projector, pose, rms)
-    _check_ranges(calibration, source)
     calibration.check_possible(source)
+    _check_ranges(calibration, source)
+    if stated_unit is None:
+        tell(
+            f"{source}: states no unit of length; in mm, camera and projector stand "
+            f"{calibration.baseline_mm:.4g} mm apart; --unit states another unit"
+        )
     return calibration
 
 
-def _mm_per_unit(files: Sequence[ForeignFile], tell: Say) -> float:
-    """The unit of the file that has the translation; mm where its format defines none."""
+def _mm_per_unit(files: Sequence[ForeignFile], tell: Say) -> float | None:
+    """The unit of the file that has the translation; None where its format defines none."""
     for file in files:
         if ("T" in file.entries or "pose" in file.entries) and file.mm_per_unit is not None:
             if file.mm_per_unit != 1.0:
@@ -108,7 +113,7 @@ def _mm_per_unit(files: Sequence[ForeignFile], tell: Say) -> float:
                     f"{file.mm_per_unit:g} to be in mm; --unit states another unit"
                 )
             return file.mm_per_unit
-    return 1.0
+    return None
 
 
 def _gathered(files: Sequence[ForeignFile]) -> _Entries:

@@ -7,6 +7,7 @@ import numpy as np
 
 from fpplab.core.conventions import Lattice
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.core.units import MM
 
 
 @dataclass(frozen=True)
@@ -92,11 +93,13 @@ def _distortion_faults(name: str, device: Pinhole) -> Iterator[str]:
 
 def _pose_faults(camera: Pinhole, projector: Pinhole, pose: RigidTransform) -> Iterator[str]:
     baseline = float(np.linalg.norm(pose.translation))
-    if not LIMITS.min_baseline_mm <= baseline <= LIMITS.max_baseline_mm:
+    if not _is_possible_baseline(baseline):
+        units = [unit for unit in ("um", "cm", "inch", "m") if _is_possible_baseline(baseline * MM[unit])]
+        advice = f" (fpplab convert --unit {' or '.join(units)})" if units else ""
         yield (
             f"camera and projector stand {baseline:.4g} mm apart, but must stand between "
             f"{LIMITS.min_baseline_mm:g} and {LIMITS.max_baseline_mm:g} mm apart; were lengths in another "
-            "unit than mm? (fpplab convert --unit m)"
+            f"unit than mm?{advice}"
         )
     elif not _see_the_same(camera, projector, pose):
         yield (
@@ -104,6 +107,10 @@ def _pose_faults(camera: Pinhole, projector: Pinhole, pose: RigidTransform) -> I
             f"{_DEPTHS[-1] * baseline:.3g} mm away lies in the projector's image; are "
             "rotation and translation those from the camera's frame to the projector's?"
         )
+
+
+def _is_possible_baseline(mm: float) -> bool:
+    return LIMITS.min_baseline_mm <= mm <= LIMITS.max_baseline_mm
 
 
 def _see_the_same(camera: Pinhole, projector: Pinhole, pose: RigidTransform) -> bool:

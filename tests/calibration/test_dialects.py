@@ -314,12 +314,18 @@ def test_a_refusal_says_only_what_was_found(text: str, words: str, tmp_path: Pat
     assert "calibration of fpplab" not in str(refused)
 
 
-def test_lengths_in_another_unit_are_converted_on_request(tmp_path: Path) -> None:
-    path = write(tmp_path / "stereo.yml", {**STEREO, "T": T[:, None] / 1000})
-    words = ["convert", str(path), "--out", str(tmp_path / "out.yaml"), "--lattice", "diamond"]
+@pytest.mark.parametrize(("unit", "mm"), [("um", 1e-3), ("m", 1000.0), ("cm", 10.0), ("inch", 25.4)])
+def test_lengths_in_another_unit_are_converted_on_request(unit: str, mm: float, tmp_path: Path) -> None:
+    path, out = write(tmp_path / "stereo.yml", {**STEREO, "T": T[:, None] / mm}), tmp_path / "out.yaml"
+    words = ["convert", str(path), "--out", str(out), "--lattice", "diamond"]
     words += ["--camera-size", "1368", "912", "--projector-size", "912", "1140"]
-    refused = CliRunner().invoke(app, words).exception
-    assert isinstance(refused, ConfigError)
-    assert "--unit m" in str(refused)
-    assert CliRunner().invoke(app, [*words, "--unit", "m"]).exit_code == 0
-    check(Calibration.load(tmp_path / "out.yaml"))
+    taken = CliRunner().invoke(app, words)
+    if unit in ("um", "m"):
+        assert isinstance(taken.exception, ConfigError)
+        assert unit in str(taken.exception).rpartition("--unit ")[2].strip(")").split(" or ")
+    else:  # possible in mm too, so that the user is told
+        baseline = np.linalg.norm(T) / mm
+        said = f"states no unit of length; in mm, camera and projector stand {baseline:.4g} mm apart"
+        assert said in " ".join(taken.output.split())
+    assert CliRunner().invoke(app, [*words, "--unit", unit, "--force"]).exit_code == 0
+    check(Calibration.load(out))
