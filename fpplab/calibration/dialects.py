@@ -156,6 +156,8 @@ def _apart(kind: str, path: Path, program: str) -> dict[str, Any]:
     try:
         return {name: value if value.ndim else value.item() for name, value in read_apart(kind, path).items()}
     except ValueError as error:
+        if "codec can't decode" in str(error):
+            raise ConfigError(f"{path}: is not in UTF-8, as files of {program} are; save it so") from error
         raise ConfigError(
             f"{path}: is not readable as a file of {program} ({error}); write it again"
         ) from error

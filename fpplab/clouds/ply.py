@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from codecs import BOM_UTF8
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -121,6 +121,8 @@ def _header(stream: BinaryIO) -> tuple[str, list[_Element], list[str], int]:
     start = stream.readline(1 << 12).removeprefix(BOM_UTF8)
     if start.startswith(b"ply\r") and start.strip() != b"ply":
         raise ValueError("its lines end in carriage returns alone; save it with line feeds")
+    if b"\0" in start and start.replace(b"\0", b"").lstrip(BOM_UTF16_LE + BOM_UTF16_BE).startswith(b"ply"):
+        raise ValueError("it is in UTF-16; save it in UTF-8")
     if start.strip() != b"ply":
         raise ValueError("it does not begin with 'ply'")
     # A line beyond 4096 bytes is read in parts, which are not understood.

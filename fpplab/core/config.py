@@ -115,6 +115,8 @@ def read_text(path: Path) -> str:
         check_recorded(path, content)
         is_wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         text = content.decode("utf-16" if is_wide else "utf-8-sig")
+        if "\0" in text:
+            raise ConfigError(f"{path}: is not a text file in UTF-8; is it UTF-16 without its mark?")
         return text.replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
         raise ConfigError(no_such_file(path)) from None

@@ -314,6 +314,17 @@ def test_a_refusal_says_only_what_was_found(text: str, words: str, tmp_path: Pat
     assert "calibration of fpplab" not in str(refused)
 
 
+@pytest.mark.parametrize(
+    ("coding", "words"), [("utf-16", "is not in UTF-8"), ("utf-16-le", "without its mark")]
+)
+def test_a_calibration_in_another_coding_is_refused(coding: str, words: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "stereo.yml", STEREO)
+    path.write_text(path.read_text(), encoding=coding)
+    refused = CliRunner().invoke(app, ["convert", str(path), "--out", str(tmp_path / "out.yaml")]).exception
+    assert isinstance(refused, ConfigError)
+    assert words in str(refused)
+
+
 @pytest.mark.parametrize(("unit", "mm"), [("um", 1e-3), ("m", 1000.0), ("cm", 10.0), ("inch", 25.4)])
 def test_lengths_in_another_unit_are_converted_on_request(unit: str, mm: float, tmp_path: Path) -> None:
     path, out = write(tmp_path / "stereo.yml", {**STEREO, "T": T[:, None] / mm}), tmp_path / "out.yaml"

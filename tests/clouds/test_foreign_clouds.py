@@ -174,6 +174,22 @@ def test_placeholders_are_left_out(
     assert f"{len(rows) - count} points of {len(rows)} are {placeholder[0]:g} " in caplog.text
 
 
+def test_names_of_coordinates_may_be_capitals(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    path.write_text(
+        text_ply(XYZ.replace(" x", " X").replace(" y", " Y").replace(" z", " Z"), "1 2 450\n3 4 451\n")
+    )
+    assert load_cloud(path).points.tolist() == [[1, 2, 450], [3, 4, 451]]
+
+
+@pytest.mark.parametrize("coding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_a_ply_file_in_another_coding_is_refused(coding: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    path.write_text(text_ply(XYZ, "1 2 450\n3 4 451\n"), encoding=coding)
+    with pytest.raises(DataError, match="it is in UTF-16; save it in UTF-8"):
+        load_cloud(path)
+
+
 @pytest.mark.parametrize(("z", "suffix"), [(0.0, ".xyz"), (-1.0, ".ply"), (-32768.0, ".xyz")])
 @pytest.mark.parametrize("count", [300, 30_000])
 def test_points_without_a_depth_are_left_out(

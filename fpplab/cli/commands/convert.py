@@ -28,9 +28,7 @@ def convert_command(
     lattice: ProjectorLattice = None,
     unit: Annotated[
         str | None,
-        option(
-            "--unit", "Unit of length (um, mm, cm, inch, m), if not the usual unit of the file format."
-        ),
+        option("--unit", "Unit of length (um, mm, cm, inch, m), if not the usual unit of the file format."),
     ] = None,
     force: Force = False,
     json: Json = False,
