@@ -88,7 +88,7 @@ def _is_much_better(check: PlanCheck, limits: WrongPlanLimits) -> bool:
 
 
 def _moves_origins_alone(edit: Edit | None, plan: Plan) -> bool:
-    if edit is None or len(edit.sets) != len(plan.fringes):
+    if edit is None or edit.images or len(edit.sets) != len(plan.fringes):
         return False
     unmoved = {"phase_origin_rad": 0.0}
     pairs = zip(edit.sets, plan.fringes, strict=True)

@@ -25,6 +25,7 @@ from fpplab.diagnosis.plan.edits import (
     Edit,
     Sets,
     finest_of,
+    image_orders,
     is_mirrored,
     neighbouring_edits,
     scales_agree,
@@ -163,7 +164,30 @@ def check_plan_fit(
         better = [check for tried in trials if (check := _find_better_plan(tried, sets, best, calibration))]
         if better:
             return min(better, key=lambda check: check.better_disagreement / check.disagreement)
+        if reordered := _find_better_order(recording, sets, best.stated, check_limits):
+            return reordered
     return _orientation(sets, best.sample, best.stated.median)
+
+
+def _find_better_order(
+    recording: Recording, sets: Sets, stated: Disagreement, limits: PlanCheckLimits
+) -> PlanCheck | None:
+    """Find an order of the images in which they fit their plan."""
+    fitting = []
+    for edit in image_orders(sets):
+        ordered = replace(recording, frames=[recording.frames[k] for k in edit.images])
+        sample = PhaseSample.of(ordered.frames, [s.images for s in sets], recording.full_scale, limits)
+        if sample is None:
+            continue
+        misfit = disagreement(ordered.part(sample.rows), recording.plan, sample)
+        is_better = misfit.median <= limits.max_better_ratio * stated.median
+        if is_better and misfit.median <= limits.max_proposed and scales_agree(sets, sample):
+            fitting.append((misfit.median, edit))
+    if not fitting:
+        return None
+    (least, best), *others = sorted(fitting, key=lambda each: each[0])
+    as_good = [edit for misfit, edit in others if misfit <= limits.max_equal_ratio * max(least, 1.0)]
+    return PlanCheck(stated.median, best, least, next(iter(as_good), None))
 
 
 def _find_better_plan(

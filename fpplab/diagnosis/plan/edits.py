@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -26,6 +26,7 @@ class Edit:
     mistake: str  # what would be wrong with the given plan, as a clause
     remedy: str  # what to write in it
     sets: Sets  # the fringe sets of the plan that is right then
+    images: tuple[int, ...] = ()  # the order in which the images are right; none where they are already
 
     def plan(self, stated: Plan) -> Plan:
         return stated.model_copy(update={"fringes": self.sets})
@@ -47,6 +48,23 @@ def neighbouring_edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
     yield from _other_stripes(sets, observed, sample)
     if (moved := _other_origins(sets, sample)) is not None:
         yield moved
+
+
+def image_orders(sets: Sets) -> Iterator[Edit]:
+    """All images in reverse, or two of a set exchanged."""
+    count = sum(s.images for s in sets)
+    mistake = "the images are in reverse order, from the last of the plan to its first"
+    yield Edit(mistake, "import them from the last to the first", sets, tuple(range(count))[::-1])
+    first = 0
+    for each in sets:
+        # Of three, an exchange turns the phase, as other edits do; of more than five, the levels show it: see
+        # `fpplab.acquisition.synchronisation`.
+        for pair in combinations(range(first, first + each.images), 2) if each.images in (4, 5) else ():
+            order = list(range(count))
+            order[pair[0]], order[pair[1]] = pair[::-1]
+            mistake = f"images {pair[0]} and {pair[1]} are exchanged, counted from 0"
+            yield Edit(mistake, "give each the other's place", sets, tuple(order))
+        first += each.images
 
 
 def finest_of(sets: Sets) -> int:
@@ -127,7 +145,8 @@ def _other_stripes(sets: Sets, observed: list[Direction], sample: PhaseSample) -
         if not others:
             continue
         about = observed[k].speed / float(np.median([observed[j].speed / sets[j].stripes for j in others]))
-        if abs(about / fringe.stripes - 1.0) <= sample.limits.max_equal_stripes:
+        is_stated = abs(about / fringe.stripes - 1.0) <= sample.limits.max_equal_stripes
+        if is_stated or about > sample.limits.max_stripes:
             continue
         for stripes in _candidate_stripes(sets, others, k, about, sample):
             yield _with_stripes(sets, {k: stripes})
@@ -147,6 +166,8 @@ def _stripes_by_one_set(
         about = observed[k].speed / observed[reference].speed * sets[reference].stripes
         if abs(about / sets[k].stripes - 1.0) <= sample.limits.max_scale_difference:
             continue
+        if about > sample.limits.max_stripes:
+            return {}
         coarser = along[:rank]
         has_position = coarser and min(edited[j].stripes for j in coarser) <= 1.0
         number = refined_stripes(edited, coarser, k, about, sample) if has_position else float(round(about))

@@ -175,6 +175,8 @@ def _with_stripes(
     ]
     for numbers in zip(*scaled, strict=False):
         edited = list(sets)
+        if max(map(np.max, numbers)) > sample.limits.max_stripes:
+            continue
         for along, stripes in zip(by_axis, numbers, strict=True):
             for k, number in zip(along, stripes, strict=True):
                 edited[k] = edited[k].model_copy(update={"stripes": float(number)})

@@ -27,6 +27,8 @@ class PlanCheckLimits(LimitsSection):
     """Factor on the least disagreement within which plans fit equally, and the simplest wins. Chosen."""
     max_equal_stripes: ShareLimit = 0.005
     """Relative difference of stripes up to which they are those of the plan. Chosen."""
+    max_stripes: CountLimit = 4096
+    """Stripes that are tried, at most. Derived: no projector shows more."""
     min_origin_rad: Positive = 0.3
     """Phase origin in rad that is reported. Chosen."""
     stripes_searched: ShareLimit = 0.04

@@ -18,6 +18,8 @@ from tests.diagnosis.scenes import PROJECTOR, Bench, plan_of
 
 PLAN = plan_of("x", (12, 12, 12, 12), (1, 4, 16, 64))
 BOTH = plan_of("xy", (4, 4, 6), (1, 8, 48))
+FOUR = plan_of("x", (4, 4, 8), (1, 8, 64))
+FIVE = plan_of("x", (5, 5, 5), (1, 8, 64))
 BEATS = plan_of("x", (6, 6, 6), (49, 56, 64)).model_copy(update={"unwrapping": "heterodyne"})
 
 Change = Callable[[Recording], Recording]
@@ -61,6 +63,15 @@ def backwards(recording: Recording) -> Recording:
     return replace(recording, frames=frames)
 
 
+def swapped(first: int, second: int) -> Change:
+    def change(recording: Recording) -> Recording:
+        frames = list(recording.frames)
+        frames[first], frames[second] = frames[second], frames[first]
+        return replace(recording, frames=frames)
+
+    return change
+
+
 MISTAKES: dict[str, tuple[Plan, Change, str]] = {
     "steps reversed": (PLAN, within_sets(lambda f: f[::-1]), "images of each set were taken in reverse"),
     "late": (PLAN, within_sets(lambda f: [f[-1], *f[:-1]]), "one step late"),
@@ -85,11 +96,24 @@ MISTAKES: dict[str, tuple[Plan, Change, str]] = {
     "sign of y": (BOTH, each(lambda s: flipped(s, "y")), "mirrored.*of every set along y rises.*see whether"),
     "axes exchanged": (BOTH, each(exchanged), "mirrored.*'axis: x' in every set along y"),
     "beats in another order": (BEATS, backwards, "have 64, 56, 49 stripes"),
+    "all reversed": (FOUR, lambda r: replace(r, frames=list(r.frames)[::-1]), "images are in reverse order"),
+    "two of the coarse": (FOUR, swapped(1, 2), "images 1 and 2 are exchanged"),
+    "two of the middle": (FOUR, swapped(4, 7), "images 4 and 7 are exchanged"),
+    "two of five": (FIVE, swapped(6, 8), "images 6 and 8 are exchanged"),
     "55 stripes": (BEATS, one(1, stripes=55.0), r"write 'stripes: 56' in 'fringes\[1\]'"),
 }
 
 
-ALIKE = {"late", "early", "128 stripes", "15 stripes", "8 and 32 stripes", "sign of y", "55 stripes"}
+ALIKE = {
+    "late",
+    "two of the coarse",
+    "early",
+    "128 stripes",
+    "15 stripes",
+    "8 and 32 stripes",
+    "sign of y",
+    "55 stripes",
+}
 """Mistakes that another one stands for in a merge."""
 
 
