@@ -20,6 +20,7 @@ class UnitLimits:
     """Limits by which sizes are taken for those of another unit."""
 
     min_size_mm: float = MIN_SIZE_MM  # size of cloud and mesh below which they cannot be in mm
+    max_size_mm: float = 2000.0  # of parts (chosen); what is larger may be in µm
     max_size_ratio: float = 50.0  # of cloud and mesh, beyond which they cannot be in the same unit (chosen)
     usual_size_ratio: tuple[float, float] = (0.3, 3.0)
     """Size of the cloud, in sizes of the mesh: a part of it, or with surroundings. Chosen."""
@@ -48,9 +49,13 @@ def check_units(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> None:
             continue
         scaled = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False)
         if _fits(points, scaled, seed) and not _fits(points, mesh, seed):
+            what = f"{small} is {unit_mm:g} times too small, as between {unit} and mm", "multiplied"
+            if unit == "m" and max(cloud_mm, mesh_mm) > LIMITS.max_size_mm:
+                large = "cloud" if small == "mesh" else "mesh"
+                what = f"{large} is 1000 times too large, as between µm and mm", "divided"
             raise DataError(
-                f"{sizes}: the {small} is {unit_mm:g} times too small, as between {unit} and mm, and fits if "
-                "its coordinates are multiplied by that; both must be in mm"
+                f"{sizes}: the {what[0]}, and fits if its coordinates are {what[1]} by that; "
+                "both must be in mm"
             )
     if not 1 / LIMITS.max_size_ratio < ratio < LIMITS.max_size_ratio:
         raise DataError(f"{sizes}; both must be in mm")

@@ -144,6 +144,8 @@ def test_meshes_as_text(suffix: str, text: str, reason: str | None, tmp_path: Pa
         (0.1, 1.0, "the mesh is 10 times too small, as between cm and mm"),
         (0.001, 1.0, "the mesh is 1000 times too small, as between m and mm"),
         (1.0, 0.001, "the cloud is 1000 times too small, as between m and mm"),
+        (1000.0, 1.0, "the mesh is 1000 times too large, as between µm and mm, and fits .* divided"),
+        (1.0, 1000.0, "the cloud is 1000 times too large, as between µm and mm, and fits .* divided"),
         (0.001, 0.001, "both must be in mm: of m, multiply all coordinates by 1000"),
     ],
 )
