@@ -70,9 +70,7 @@ def _drawn(seed: list[int], points: Floats, sizes: Floats) -> Floats:
     alone = random.standard_normal((len(points), 4))
     # Without what poses have, so that the mean squares of both add up in every draw.
     alone -= functions @ np.linalg.lstsq(functions, alone, rcond=None)[0]
-    return np.asarray(
-        single * alone + functions @ (shared * random.standard_normal((functions.shape[1], 4)))
-    )
+    return np.asarray(single * alone + functions @ (shared * random.standard_normal((functions.shape[1], 4))))
 
 
 def _interpolated(places: Floats, values: Floats, shape: tuple[int, int]) -> NDArray[np.float32]:
