@@ -152,13 +152,15 @@ def _one_wave(sets: Sequence[tuple[FringeResidual, Complex]], advance: float) ->
 
 def ripple_in_step(terms: Sequence[FrameTerms]) -> Ripple:
     """Take light of the room that changes from frame to frame, equally in all rows or with a slow wave."""
-    fluctuation = fit_fluctuation([pose.series(ROOM) for pose in terms])
-    period_px, source = LIMITS.in_step_period_px, terms[0].source
+    by_source = [list(terms), *map(list, zip(*(pose.of_sources for pose in terms), strict=False))]
+    fits = [(fit_fluctuation([pose.series(ROOM) for pose in source]), source) for source in by_source]
+    fluctuation, poses = max(fits, key=lambda fit: fit[0].gained)
+    period_px, source = LIMITS.in_step_period_px, poses[0].source
     if not fluctuation.oscillation.any():
         amplitude = float(np.sqrt(2.0)) * fluctuation.random.isotropic
         return Ripple(amplitude, fluctuation.sigma, period_px, 0.0, None, fluctuation.gained, source)
     sign, period_sigma = 1.0, 0.0
-    along_rows = fit_along_rows([pose.series(ROOM_ROWS) for pose in terms], fluctuation)
+    along_rows = fit_along_rows([pose.series(ROOM_ROWS) for pose in poses], fluctuation)
     if along_rows.fluctuation.gained > fluctuation.gained:
         fluctuation, turn = along_rows.fluctuation, along_rows.turn_per_px
         period_px, sign = min(2.0 * np.pi / abs(turn), period_px), float(np.sign(turn))
@@ -174,7 +176,6 @@ def strongest_ripple(terms: Sequence[FrameTerms], rests: Sequence[FringeResidual
     if share <= 0:
         return None
     bands = Bands.of(rests)
-    by_source = [terms, *zip(*(pose.of_sources for pose in terms), strict=False)]
-    candidates = [*map(ripple_in_step, by_source), *([bands.rolling(share)] if bands else [])]
+    candidates = [ripple_in_step(terms), *([bands.rolling(share)] if bands else [])]
     ripple = max(candidates, key=lambda ripple: ripple.gained)
     return ripple if ripple.gained > 0 and ripple.amplitude else None

@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
-from scipy.special import logsumexp
 
 from fpplab.core.conventions import Floats
 from sim.effects.step import FrameFluctuation, RandomDisplacement
@@ -287,8 +286,9 @@ class _Waves:
         count = int(LIMITS.phases_per_width * (2.0 * np.pi + sharpness))
         phase = 2.0 * np.pi * np.arange(count) / count
         unit = np.stack([np.cos(phase), np.sin(phase)])
-        exponent = rms * self.cross @ unit - 0.5 * rms**2 * np.einsum("ip,ij,jp->p", unit, self.square, unit)
-        return self.without - 2.0 * float(logsumexp(exponent) - np.log(count))
+        exponent = rms * self.cross @ unit - 0.5 * rms**2 * np.sum(unit * (self.square @ unit), axis=0)
+        highest = exponent.max()  # SciPy's logsumexp takes five times as long for so few
+        return self.without - 2.0 * float(highest + np.log(np.mean(np.exp(exponent - highest))))
 
 
 def _with_oscillation(series: Sequence[Series], random: float, still: float) -> FrameFluctuation:
