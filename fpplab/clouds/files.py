@@ -361,8 +361,8 @@ def _read_ply(path: Path) -> Cloud:
     sizes = [text.split()[1:] for text in comments if text.split()[:1] == [_SIZE]]
     size = (int(sizes[0][0]), int(sizes[0][1])) if sizes else None
     names = table.dtype.names or ()
-    if set("XYZ") <= set(names) and not set(_XYZ) & set(names):
-        names = table.dtype.names = tuple(name.lower() if name in "XYZ" else name for name in names)
+    if (capitals := set("XYZ")) <= set(names) and not set(_XYZ) & set(names):
+        names = table.dtype.names = tuple(n.lower() if n in capitals else n for n in names)
     if not set(_XYZ) <= set(names):
         raise ValueError(f"a vertex has no x, y, z, but {', '.join(names)}")
     points = np.stack([table[name] for name in _XYZ], axis=1)
