@@ -158,6 +158,8 @@ def _apart(kind: str, path: Path, program: str) -> dict[str, Any]:
     except ValueError as error:
         if "codec can't decode" in str(error):
             raise ConfigError(f"{path}: is not in UTF-8, as files of {program} are; save it so") from error
+        if "Unknown mat file type" in str(error):
+            raise ConfigError(f"{path}: is damaged, or of MATLAB's version 7.3; save it with -v7") from error
         raise ConfigError(
             f"{path}: is not readable as a file of {program} ({error}); write it again"
         ) from error
@@ -396,7 +398,7 @@ def _of_stereo_parameters(path: Path, structure: str, content: dict[str, Any]) -
     name, rotation = numbers("RotationOfCamera2")
     entries["R"] = name, np.transpose(rotation)
     entries["T"] = numbers("TranslationOfCamera2")
-    unit = content.get(f"{structure}WorldUnits", "mm")
-    if unit not in WORLD_UNITS:
+    unit = content.get(f"{structure}WorldUnits")
+    if unit is not None and unit not in WORLD_UNITS:
         raise ConfigError(f"{path}: 'WorldUnits' is {unit!r}; expected one of {', '.join(WORLD_UNITS)}")
-    return ForeignFile(path, "MATLAB", entries, WORLD_UNITS[unit])
+    return ForeignFile(path, "MATLAB", entries, None if unit is None else WORLD_UNITS[unit])
