@@ -37,6 +37,8 @@ WARP_MM = 2.0
 """Extent of what remains of a board's own shape, beyond the surface of that degree."""
 BINS = 5
 """Distances at which biases are taken, on either side of an edge."""
+TILE_PX = 48
+"""Side of tiles whose noise does not depend on that of their neighbours; every other one makes a half."""
 COVERED = (0.92, 0.98)
 SLOWER, REPEATS = 2.0, 5
 """How many times as long decoding may take with the correction, and how often it is timed."""
@@ -70,7 +72,9 @@ def errors_beside_edges(
     used &= (np.abs(cosine) > 0.8) | (np.abs(distance) > FAR_MM)
     error = np.sign(cosine) * (coordinate - fitted)
     used &= np.abs(error) < WRONG_PX
+    rows, columns = np.indices(image.shape) // TILE_PX
     values = {"distance": distance, "error": error, "sigma": decoded.sigma_total, "noise": decoded.sigma}
+    values["half"] = (rows + columns) % 2
     return {name: each[used].astype(np.float64) for name, each in values.items()}
 
 
@@ -105,8 +109,13 @@ def edge_figures(found: dict[str, Floats]) -> tuple[float, float, float]:
     """Bias near edges in px, noise elsewhere in px, and the share of points near edges that σ covers."""
     near, far = np.abs(found["distance"]) < NEAR_MM, np.abs(found["distance"]) > FAR_MM
     bins = np.clip(((found["distance"] / NEAR_MM + 1.0) * BINS).astype(int), 0, 2 * BINS - 1)
-    biases = [found["error"][near & (bins == k)] for k in range(2 * BINS)]
-    bias = float(np.sqrt(np.mean([np.mean(each) ** 2 for each in biases if each.size > 20])))
+    # Noise gives either half of the tiles a mean of its own: their product has the square of the bias alone.
+    squares = []
+    for k in range(2 * BINS):
+        halves = [found["error"][near & (bins == k) & (found["half"] == half)] for half in (0, 1)]
+        if min(each.size for each in halves) > 20:
+            squares.append(float(halves[0].mean() * halves[1].mean()))
+    bias = max(float(np.mean(squares)), 0.0) ** 0.5
     covered = np.abs(found["error"]) < 1.96 * found["sigma"]
     return bias, robust_spread(found["error"][far]), float(covered[near].mean())
 
