@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from fpplab.calibration.dialects import ALONE, NAMES, ForeignFile, read_foreign
 from fpplab.calibration.model import Calibration, CalibrationFile
+from fpplab.calibration.plausibility import LIMITS as PLAUSIBLE
 from fpplab.core import config
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import ConfigError
@@ -93,8 +94,10 @@ def import_calibration(
     pose = _pose(entries, stated_unit or 1.0, source)
     rms = {name: _number(entries[f"rms_{name}"]) for name in RMS if f"rms_{name}" in entries}
     calibration = Calibration(camera, projector, pose, rms)
-    calibration.check_possible(source)
+    if calibration.baseline_mm > PLAUSIBLE.max_baseline_mm:  # of another unit, which ranges do not name
+        calibration.check_possible(source)
     _check_ranges(calibration, source)
+    calibration.check_possible(source)
     if stated_unit is None:
         tell(
             f"{source}: states no unit of length; in mm, camera and projector stand "

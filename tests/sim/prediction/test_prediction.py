@@ -156,7 +156,7 @@ def test_ambient_light_of_rows_is_that_of_whole_frames(rig: Rig) -> None:
     whole = rig.simulation.light.irradiance(SceneState(ITEM), None)[rows]
     assert whole.max() > 0.005
     part = FramePart(ITEM, rows, np.arange(whole.shape[1]))
-    np.testing.assert_allclose(rig.simulation.image_part_sampler()._ambient(part), whole, atol=2e-4)
+    np.testing.assert_allclose(rig.simulation.image_part_sampler()._room_light(part), whole, atol=2e-4)
 
 
 def test_columns_are_those_of_the_rows(rig: Rig) -> None:
